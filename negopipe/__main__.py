@@ -1,0 +1,134 @@
+"""The only Hydra entry: compose `conf/` -> RunConfig -> run its stages.
+
+Nothing heavy is imported before a run starts, so that `--help` and a mistyped key are answered at once.
+"""
+
+import importlib
+import json
+import logging
+import os
+import signal
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from negopipe.config_errors import explain_composition
+from negopipe.errors import UserError
+
+if TYPE_CHECKING:
+    from negopipe.config import RunConfig
+
+log = logging.getLogger("negopipe")
+
+PACKAGE = Path(__file__).resolve().parent
+CONF = PACKAGE / "conf" if (PACKAGE / "conf").is_dir() else PACKAGE.parent / "conf"
+"""In a wheel the configs lie inside the package, in a checkout beside it."""
+
+FAILURES = "NEGOPIPE_FAILURES"
+"""Environment variable: the file in which the jobs of a command note why they failed. An exception would not
+do: Hydra prints a line of its own about a job that raises, and of a sweep it tells the first failure only."""
+
+
+def main() -> int:
+    """Run the command line; 0, 1 (failed, said in one line), 130 (Ctrl-C) or, by SystemExit, 143."""
+    signal.signal(signal.SIGTERM, _terminate)
+    if os.environ.get("HYDRA_FULL_ERROR") == "1":  # the user wants every error with its traceback
+        pipeline()
+        return 0
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # errors reach this function instead of being printed by Hydra
+    with tempfile.NamedTemporaryFile("r", prefix="negopipe-", encoding="utf-8") as failures:
+        os.environ[FAILURES] = failures.name
+        try:
+            pipeline()
+            lines = [json.loads(line) for line in failures]
+        except (HydraException, OmegaConfBaseException, YAMLError) as error:
+            lines = [explain_composition(error)]
+        except ValueError as error:  # Hydra's checks of the command line itself; they name no key
+            lines = [f"{error}, got {' '.join(sys.argv[1:])}"]
+        except UserError as error:
+            lines = [str(error)]
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            return 130
+    for line in dict.fromkeys(lines):
+        print(line, file=sys.stderr)
+    return 1 if lines else 0
+
+
+@hydra.main(config_path=str(CONF), config_name="config", version_base="1.3")
+def pipeline(composed: DictConfig) -> None:
+    """One job of the command line, in this process or in a launcher's worker."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        run_stages(composed)
+    except Exception as error:
+        _note_failure(error)
+
+
+def run_stages(composed: DictConfig) -> None:
+    """Check the config, open its run and run its stages in order."""
+    from negopipe.config import as_mapping, load, run_name
+    from negopipe.tracking.checkpoint import find_checkpoint
+    from negopipe.tracking.store import open_run
+
+    config = load(composed)
+    _prepare_torch(config)
+    if config.checkpoint is not None:
+        find_checkpoint(config.checkpoint, config)  # before there is a run that could only fail
+    with open_run(config, run_name(config), as_mapping(config)) as run:
+        run.set_tags({"overrides": " ".join(HydraConfig.get().overrides.task)})
+        log.info("run        %s", _shown(run.folder))
+        for stage in config.stages:
+            importlib.import_module(f"negopipe.stages.{stage}").run(config, run)
+    for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
+        if (run.folder / file_name).exists():
+            log.info("%-10s %s", label, _shown(run.folder / file_name))
+    log.info("dashboard  make ui")
+
+
+def _prepare_torch(config: "RunConfig") -> None:
+    import torch
+
+    torch.set_num_threads(config.n_threads)
+    has_cuda = torch.cuda.is_available()
+    if config.device == "cuda" and not has_cuda:
+        raise UserError("device must be auto or cpu on a machine without CUDA, got cuda")
+    if config.device != "cpu" and has_cuda:  # on the CPU torch repeats itself anyway
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+        torch.use_deterministic_algorithms(True, warn_only=True)
+        torch.utils.deterministic.fill_uninitialized_memory = False
+
+
+def _note_failure(error: Exception) -> None:
+    """Leave a line for `main`; a bug shows its traceback here, where it still has one."""
+    path = Path(os.environ.get(FAILURES, ""))
+    if not path.is_file():  # HYDRA_FULL_ERROR, or a worker on another machine: leave it to Hydra
+        raise error
+    line = str(error)
+    if not isinstance(error, UserError):
+        traceback.print_exception(error)
+        line = f"failed with {type(error).__name__}: {' '.join(HydraConfig.get().overrides.task)}"
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line) + "\n")
+
+
+def _terminate(signum: int, frame: Any) -> None:
+    """SIGTERM unwinds the stack like Ctrl-C, so that the run's record is closed."""
+    raise SystemExit(128 + signum)
+
+
+def _shown(path: Path) -> Path:
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,139 @@
+"""RunConfig: the root schema. What Hydra composes from `conf/` becomes one typed, checked, frozen object."""
+
+import hashlib
+import json
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import Field, TypeAdapter, ValidationError
+
+from negopipe.config_errors import explain_composition, explain_validation
+from negopipe.errors import UserError
+from negopipe.evaluation.episodes import EvaluationConfig
+from negopipe.evaluation.planners import fixed_name
+from negopipe.learning.acktr import AcktrConfig
+from negopipe.learning.curriculum import CurriculumConfig
+from negopipe.observation.occupancy_grid import ObservationConfig
+from negopipe.planner.frenet import PlannerConfig
+from negopipe.policy.actor_critic import PolicyConfig
+from negopipe.report.page import ReportConfig
+from negopipe.reward import RewardConfig
+from negopipe.schema import NonNegativeInt, PositiveInt, schema
+from negopipe.simulation.scenario import ScenarioConfig
+from negopipe.tracking.store import TrackingConfig
+
+Stage = Literal["train", "evaluate", "report"]
+FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+
+RESULT_NEUTRAL = {"name", "seed", "outputs", "stages", "n_threads", "report", "tracking"}
+"""Keys that `run_name` leaves out of its hash: where a run is kept, which part of it runs now, how its
+results are shown. `n_threads` is among them because threads change rounding at most; `device` and `compile`
+are not: they draw and round differently. The seed stands beside the hash, so a config's seeds share it."""
+
+
+@schema
+class RunConfig:
+    """Everything a run depends on; `conf/config.yaml` says what each value means."""
+
+    name: FolderName
+    seed: NonNegativeInt
+    outputs: Annotated[str, Field(min_length=1)]
+    stages: Annotated[tuple[Stage, ...], Field(min_length=1)]
+    checkpoint: str | None
+    device: Literal["auto", "cpu", "cuda"]
+    n_threads: PositiveInt
+    compile: Literal["auto", "on", "off"]
+    scenario: ScenarioConfig
+    planner: PlannerConfig
+    observation: ObservationConfig
+    reward: RewardConfig
+    policy: PolicyConfig
+    algorithm: AcktrConfig
+    curriculum: CurriculumConfig
+    evaluation: EvaluationConfig
+    report: ReportConfig
+    tracking: TrackingConfig
+
+
+def load(composed: DictConfig) -> RunConfig:
+    """Check what Hydra composed and freeze it; UserError names every key that is wrong, in one line.
+
+    Types are strict: a text is no number and `true` is no 1.
+    """
+    try:
+        values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        raise UserError(explain_composition(error)) from error
+    try:
+        config = TypeAdapter(RunConfig).validate_json(json.dumps(values), strict=True)
+    except ValidationError as error:
+        raise UserError(explain_validation(error, RunConfig)) from error
+    check_components(config)
+    return config
+
+
+def as_mapping(config: RunConfig) -> dict[str, Any]:
+    """The config as plain mappings, lists and scalars, as `load` read it."""
+    return TypeAdapter(RunConfig).dump_python(config, mode="json")
+
+
+def run_name(config: RunConfig) -> str:
+    """Name of the run folder, `seed<seed>-<8 hex>`: the same for everything that gives the same result."""
+    relevant = {key: value for key, value in as_mapping(config).items() if key not in RESULT_NEUTRAL}
+    canonical = json.dumps(relevant, sort_keys=True, separators=(",", ":"))
+    return f"seed{config.seed}-{hashlib.sha256(canonical.encode()).hexdigest()[:8]}"
+
+
+def check_components(config: RunConfig) -> None:
+    """Conditions that no component can check alone; UserError names the first that does not hold."""
+    _check_horizons(config)
+    _check_grids(config)
+    _check_evaluation(config)
+
+
+def _check_horizons(config: RunConfig) -> None:
+    """Nobody predicts farther than plans reach: a longer horizon would act like H_plan under another name."""
+    horizons = {"policy.horizons_s": config.policy.horizons_s}
+    horizons["evaluation.fixed_horizons_s"] = tuple(config.evaluation.fixed_horizons_s)
+    places = {"scenario": config.scenario.families}
+    places |= {f"curriculum.stages.{i}": stage.families for i, stage in enumerate(config.curriculum.stages)}
+    for place, families in places.items():
+        for name, family in families.items():
+            horizons[f"{place}.families.{name}.style_horizon_s"] = tuple(family.style_horizon_s)
+    planned = config.planner.horizon_s
+    for key, values in horizons.items():
+        if max(values, default=0.0) > planned:
+            raise UserError(f"{key} must be at most planner.horizon_s = {planned}, got {max(values)}")
+
+
+def _check_grids(config: RunConfig) -> None:
+    """Frames fall on control steps, and the convolutions leave something of the grid."""
+    interval, dt = config.observation.frame_interval_s, config.scenario.dt_s
+    n_steps = round(interval / dt)
+    if n_steps < 1 or abs(interval - n_steps * dt) > 1e-6:
+        rule = f"a multiple of scenario.dt_s = {dt}"
+        raise UserError(f"observation.frame_interval_s must be {rule}, got {interval}")
+    side = config.observation.n_cells
+    for index, conv in enumerate(config.policy.conv):
+        if conv.kernel > side:
+            limit = f"{side}, what is left there of observation.n_cells = {config.observation.n_cells}"
+            raise UserError(f"policy.conv.{index}.kernel must be at most {limit}, got {conv.kernel}")
+        side = (side - conv.kernel) // conv.stride + 1
+
+
+def _check_evaluation(config: RunConfig) -> None:
+    """What is evaluated, opened with and shown exists."""
+    settings = config.evaluation.settings
+    planners = [fixed_name(horizon) for horizon in config.evaluation.fixed_horizons_s]
+    _require("evaluation.settings", settings, among=config.scenario.families)
+    _require("evaluation.leading_setting", [config.evaluation.leading_setting], among=settings)
+    _require("report.side_by_side", config.report.side_by_side, among=planners)
+
+
+def _require(key: str, values: Iterable[str], among: Iterable[str]) -> None:
+    allowed = list(among)
+    for value in values:
+        if value not in allowed:
+            raise UserError(f"{key} must be among {', '.join(allowed) or 'none'}, got {value}")

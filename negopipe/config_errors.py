@@ -1,0 +1,102 @@
+"""One line for every way a config can be wrong: the key, the value and what is allowed.
+
+Hydra refuses a command line while it composes, pydantic refuses the composed values; both end up here. This
+imports neither torch nor a component, so that a typing error is answered at once.
+"""
+
+import difflib
+import json
+import types
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from hydra.errors import MissingConfigException, OverrideParseException
+from omegaconf import OmegaConf
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    InterpolationResolutionError,
+    OmegaConfBaseException,
+)
+from pydantic import ValidationError
+
+
+def unknown_key(key: str, allowed: Iterable[str]) -> str:
+    """`key` is a dotted path; `allowed` are the names that its last part could have."""
+    names = sorted(allowed)
+    near = difflib.get_close_matches(key.rpartition(".")[2], names, n=1)
+    hint = f" did you mean {near[0]}?" if near else ""
+    return f"{key} is not a known key,{hint} allowed: {', '.join(names) or 'none'}"
+
+
+def explain_composition(error: Exception) -> str:
+    """What Hydra or OmegaConf found wrong while composing the config or resolving its interpolations."""
+    if isinstance(error, MissingConfigException) and error.options is not None:
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        return f"{group} must be one of {', '.join(sorted(error.options))}, got {option}"
+    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
+    if isinstance(error, InterpolationResolutionError):
+        return f"{error.full_key} cannot be resolved: {str(error).splitlines()[0]}"
+    if isinstance(cause, ConfigAttributeError | ConfigKeyError) and OmegaConf.is_dict(cause.parent_node):
+        return unknown_key(str(cause.full_key), map(str, cause.parent_node))
+    if isinstance(error, OverrideParseException):
+        return f"{error.override} cannot be read: {str(error).splitlines()[0]}"
+    return " ".join(str(error).replace("\\'", "'").split())
+
+
+def explain_validation(error: ValidationError, root: type) -> str:
+    """All problems that pydantic found when it was to make `root` of plain mappings."""
+    return "; ".join(dict.fromkeys(_problem(problem, root) for problem in error.errors()))
+
+
+def _problem(problem: Mapping[str, Any], root: type) -> str:
+    path = [str(part) for part in problem["loc"]]
+    key, kind = ".".join(path), problem["type"]
+    if kind == "unexpected_keyword_argument":
+        return unknown_key(key, _allowed(root, path[:-1]))
+    if kind in ("missing", "missing_argument"):
+        return f"{key} is missing"
+    is_whole_mapping = isinstance(problem["input"], Mapping) and not kind.endswith("_type")
+    value = "" if is_whole_mapping else f", got {_shown(problem['input'])}"  # the rule names the values
+    return f"{key} {_rule(problem)}{value}"
+
+
+def _rule(problem: Mapping[str, Any]) -> str:
+    """What the value must be, in pydantic's words without its grammar."""
+    if problem["type"] == "literal_error":
+        choices = problem["ctx"]["expected"].replace(" or ", ", ").replace("'", "")
+        return f"must be one of {choices}"
+    if problem["type"].startswith("dataclass"):
+        return "must be a mapping"
+    message = str(problem["msg"]).removeprefix("Value error, ").replace("valid array", "list")
+    message = message.partition(" after validation")[0]
+    rule = message.partition(" should ")[2]
+    return f"must {rule}" if rule else message
+
+
+def _shown(value: Any) -> str:
+    return value if isinstance(value, str) and value else json.dumps(value)
+
+
+def _allowed(root: type, path: list[str]) -> list[str]:
+    """Field names of the dataclass that `path` leads to from `root`."""
+    node: Any = root
+    for part in path:
+        node = get_type_hints(_schema_in(node))[part] if _schema_in(node) else _item_type(node)
+    schema = _schema_in(node)
+    return [field.name for field in fields(schema)] if schema else []
+
+
+def _schema_in(hint: Any) -> Any:
+    """The dataclass that a type hint is, or holds beside None."""
+    if is_dataclass(hint):
+        return hint
+    if get_origin(hint) in (Annotated, types.UnionType):
+        return next(filter(None, map(_schema_in, get_args(hint))), None)
+    return None
+
+
+def _item_type(hint: Any) -> Any:
+    """What a list, tuple or dict holds."""
+    return [arg for arg in get_args(hint) if arg is not Ellipsis][-1]

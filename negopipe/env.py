@@ -1,0 +1,135 @@
+"""The game as a reinforcement-learning environment: batched worlds that pick a prediction horizon and drive on."""
+
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from negopipe.learning.rollout import Transition
+from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
+from negopipe.planner.frenet import FrenetPlanner, PlannerConfig
+from negopipe.reward import RewardConfig, reward
+from negopipe.simulation.perception import Perception, perceive
+from negopipe.simulation.scenario import ScenarioConfig, TaskSampler
+from negopipe.simulation.simulator import Events, Simulator
+from negopipe.simulation.state import EGO, Motion, VehicleState, World, map_tensors
+
+
+@dataclass(frozen=True)
+class Game:
+    """The parts that make one decision, each a function of tensors; compiled or not, they are called alike.
+
+    simulator: resets worlds and knows the road
+    planner: what `plan` belongs to
+    plan: Perception, horizon [E, S] (s) -> Motion [E, S]
+    step: World, VehicleState [E, V] -> World, Events
+    draw: Perception of one seat -> [E, F, H, W] uint8 grids
+    draw_few: the same, not compiled, for any number of worlds
+    observation_shape: (F, H, W)
+    """
+
+    simulator: Simulator
+    planner: FrenetPlanner
+    plan: Callable[[Perception, Tensor], Motion]
+    step: Callable[[World, VehicleState], tuple[World, Events]]
+    draw: Callable[[Perception], Tensor]
+    draw_few: Callable[[Perception], Tensor]
+    observation_shape: tuple[int, int, int]
+
+
+def build_game(
+    scenario: ScenarioConfig,
+    planner: PlannerConfig,
+    observation: ObservationConfig,
+    device: torch.device | str = "cpu",
+    is_compiled: bool = False,
+) -> Game:
+    """Everything that depends on the configuration but not on a task.
+
+    A compiled game is compiled anew for every number of worlds, so keep to one number.
+    """
+    simulator = Simulator(scenario, history_steps(observation, scenario.dt_s), device)
+    frenet = FrenetPlanner(planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
+    grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)
+
+    def accelerate(fn: Callable) -> Callable:
+        return torch.compile(fn, dynamic=False) if is_compiled else fn
+
+    return Game(
+        simulator=simulator,
+        planner=frenet,
+        plan=accelerate(frenet.plan),
+        step=accelerate(simulator.step),
+        draw=accelerate(grid.draw),
+        draw_few=grid.draw,
+        observation_shape=grid.shape,
+    )
+
+
+def wants_compile(choice: Literal["auto", "on", "off"]) -> bool:
+    """Whether to compile: as told, or where a C++ compiler is found, which torch.compile needs on the CPU."""
+    if choice == "auto":
+        return any(shutil.which(name) for name in (os.environ.get("CXX", "g++"), "g++", "clang++"))
+    return choice == "on"
+
+
+class NegotiationEnv:
+    """E worlds of one scenario; satisfies `negopipe.learning.rollout.Environment`.
+
+    The action of the ego is an index into `horizons_s`; social vehicles drive in the style of their task. A world
+    whose episode is over starts a new task at once, drawn from `sampler`, which may be replaced at any time
+    (the curriculum does).
+    """
+
+    def __init__(
+        self,
+        game: Game,
+        reward_config: RewardConfig,
+        horizons_s: tuple[float, ...],
+        sampler: TaskSampler,
+        n_worlds: int,
+    ) -> None:
+        self.game, self.reward_config, self.sampler, self.n_worlds = game, reward_config, sampler, n_worlds
+        self.restart()
+        self._horizons = torch.tensor(horizons_s, device=self.world.step.device)
+
+    def restart(self) -> None:
+        """Start a new task in every world."""
+        self.world = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
+        self._observation = self.game.draw_few(perceive(self.world).of(EGO))
+
+    def observe(self) -> Tensor:
+        """[E, F, H, W] uint8, 0 or 1: the grids that the ego sees now."""
+        return self._observation
+
+    def step(self, action: Tensor) -> Transition:
+        """Drive every vehicle for one control step; `action` [E] int64 is the ego's."""
+        world = self.world
+        horizon = world.task.style_horizon.clone()
+        horizon[:, EGO] = self._horizons[action]
+        motion = self.game.plan(perceive(world), horizon)
+        moved, events = self.game.step(world, motion.state)
+        reached = self.game.draw(perceive(moved).of(EGO))
+        self._observation = self._start_again(moved, events.is_terminated | events.is_truncated, reached)
+        return Transition(
+            observation=self._observation,
+            final_observation=reached,
+            reward=reward(self.reward_config, events.is_collision, events.is_success),
+            is_terminated=events.is_terminated,
+            is_truncated=events.is_truncated,
+            is_success=events.is_success,
+            is_collision=events.is_collision,
+        )
+
+    def _start_again(self, moved: World, is_done: Tensor, reached: Tensor) -> Tensor:
+        """New tasks where episodes are over; the observation [E, F, H, W] of the worlds that go on from here."""
+        self.world = self.game.simulator.reset_where(is_done, moved, self.sampler.draw(self.n_worlds))
+        which = is_done.nonzero()[:, 0]
+        if len(which) == 0:
+            return reached
+        started = map_tensors(lambda field: field[which], self.world)
+        return reached.index_copy(0, which, self.game.draw_few(perceive(started).of(EGO)))

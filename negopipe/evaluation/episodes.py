@@ -1,0 +1,160 @@
+"""Driving evaluation episodes and writing down what happened."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from negopipe.driver import ChooseHorizon, Driver, HorizonDriver, drive_together, own_style
+from negopipe.env import Game
+from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.reward import RewardConfig, reward
+from negopipe.schema import NonNegativeFloat, NonNegativeInt, PositiveInt, schema
+from negopipe.simulation.perception import perceive
+from negopipe.simulation.simulator import Events
+from negopipe.simulation.state import EGO, Motion, Task, World, map_tensors, where_world
+
+REST_SPEED = 0.1
+"""m/s below which a vehicle is at rest (Reading: suspend number)."""
+DEADLOCK_S = 5.0
+"""Time at rest, nose to nose, that makes a timeout a deadlock (Reading: deadlock)."""
+
+
+@schema
+class EvaluationConfig:
+    """`conf/evaluation/push_yield.yaml` says what each value means."""
+
+    settings: Annotated[list[str], Field(min_length=1)]
+    leading_setting: str
+    n_episodes: PositiveInt
+    task_seed: NonNegativeInt
+    fixed_horizons_s: list[NonNegativeFloat]
+    action: Literal["most_probable", "sample"]
+    reward: RewardConfig
+
+
+def drive_episodes(
+    game: Game,
+    choose_horizon: ChooseHorizon,
+    tasks: Task,
+    n_worlds: int,
+    reward_config: RewardConfig,
+    names: tuple[str, str],
+) -> Trace:
+    """Let the ego drive all `tasks` with `choose_horizon`, `n_worlds` at a time.
+
+    Outcomes do not depend on `n_worlds`: worlds do not know of each other. The last batch is filled up with
+    repeated tasks that are not recorded, so that a compiled game meets one number of worlds only.
+
+    reward_config: what the report counts, whatever the policy was trained with
+    names: (planner, family) for the record
+    """
+    ego = HorizonDriver(choose_horizon, game.plan)
+    social = HorizonDriver(own_style, game.plan)
+    drivers = [ego] + [social] * game.simulator.scenario.n_social
+    parts = [
+        _record(game, drivers, batch, reward_config, n_kept) for batch, n_kept in _batches(tasks, n_worlds)
+    ]
+    joined = {name: np.concatenate([part[name] for part in parts], axis=_EPISODE_AXIS[name]) for name in parts[0]}
+    return Trace(planner=names[0], family=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
+
+
+_EPISODE_AXIS = {
+    "start_distance_m": 0, "style_horizon_s": 0, "n_steps": 0, "reached_step": 0, "outcome": 0,
+    "position_m": 1, "yaw_rad": 1, "speed_mps": 1, "progress_m": 1,
+    "horizon_s": 1, "is_full_braking": 1, "reward": 1,
+}  # fmt: skip
+
+
+def _batches(tasks: Task, n_worlds: int) -> Iterator[tuple[Task, int]]:
+    for start in range(0, len(tasks), n_worlds):
+        n_kept = min(n_worlds, len(tasks) - start)
+        index = torch.arange(start, start + n_worlds, device=tasks.family.device) % len(tasks)
+        yield map_tensors(lambda field, i=index: field[i], tasks), n_kept
+
+
+def _record(
+    game: Game, drivers: list[Driver], tasks: Task, reward_config: RewardConfig, n_kept: int
+) -> dict[str, np.ndarray]:
+    """Fields of `Trace` for the first `n_kept` of `tasks`."""
+    world = game.simulator.reset(tasks)
+    is_running = torch.ones(len(tasks), dtype=torch.bool, device=tasks.family.device)
+    states, decisions = [_state_row(game, world)], []
+    is_success = is_collision = ~is_running
+    for _ in range(game.simulator.scenario.episode_steps):
+        motion = drive_together(drivers, perceive(world))
+        moved, events = game.step(world, motion.state)
+        world = where_world(is_running, moved, world)
+        states.append(_state_row(game, world))
+        decisions.append(_decision_row(motion, events, reward_config, is_running))
+        is_success = is_success | (is_running & events.is_success)
+        is_collision = is_collision | (is_running & events.is_collision)
+        is_running = is_running & ~(events.is_terminated | events.is_truncated)
+        if not is_running.any():
+            break
+    n_missing = game.simulator.scenario.episode_steps - len(decisions)
+    rows = _stack(states, n_missing) | _stack(decisions, 0)
+    rows |= {name: _pad(rows[name], n_missing) for name in decisions[0]}
+    is_deadlock = _stands_nose_to_nose(rows["speed_mps"], world, game)
+    outcome = torch.where(is_deadlock, OUTCOMES.index("deadlock"), OUTCOMES.index("timeout"))
+    outcome = torch.where(is_collision, OUTCOMES.index("collision"), outcome)
+    rows["outcome"] = torch.where(is_success, OUTCOMES.index("success"), outcome)
+    rows["n_steps"] = world.step
+    rows["reached_step"] = _first_time(rows.pop("has_reached"))
+    rows |= {"start_distance_m": tasks.start_distance, "style_horizon_s": tasks.style_horizon}
+    return {name: _keep(value, n_kept, _EPISODE_AXIS[name]) for name, value in rows.items()}
+
+
+def _state_row(game: Game, world: World) -> dict[str, Tensor]:
+    vehicles = world.vehicles
+    return {
+        "position_m": vehicles.position,
+        "yaw_rad": vehicles.yaw,
+        "speed_mps": vehicles.speed,
+        "progress_m": game.simulator.road.progress(vehicles.position, world.task.direction),
+        "has_reached": world.has_reached,
+    }
+
+
+def _decision_row(
+    motion: Motion, events: Events, reward_config: RewardConfig, is_running: Tensor
+) -> dict[str, Tensor]:
+    paid = reward(reward_config, events.is_collision, events.is_success)
+    return {
+        "horizon_s": torch.where(is_running[:, None], motion.horizon, torch.nan),
+        "is_full_braking": motion.is_full_braking & is_running[:, None],
+        "reward": torch.where(is_running, paid, 0.0),
+    }
+
+
+def _stack(rows: list[dict[str, Tensor]], n_repeat: int) -> dict[str, Tensor]:
+    return {name: torch.stack([row[name] for row in rows + [rows[-1]] * n_repeat]) for name in rows[0]}
+
+
+def _pad(decisions: Tensor, n_missing: int) -> Tensor:
+    """Fill decisions that nobody took any more: no horizon, no braking, no reward."""
+    empty = torch.nan if decisions.dim() == 3 and decisions.is_floating_point() else 0
+    filling = torch.full((n_missing, *decisions.shape[1:]), empty, dtype=decisions.dtype, device=decisions.device)
+    return torch.cat([decisions, filling])
+
+
+def _stands_nose_to_nose(speed: Tensor, world: World, game: Game) -> Tensor:
+    """[E] bool: at the end the ego and a social vehicle have stood for 5 s, neither having passed the other."""
+    n_steps = round(DEADLOCK_S / game.simulator.scenario.dt_s)
+    is_at_rest = (speed[-n_steps:] < REST_SPEED).all(0)
+    x = world.task.direction[:, :1] * world.vehicles.position[..., 0]
+    is_ahead = x > x[:, :1]
+    social = is_at_rest & is_ahead & (world.task.direction != world.task.direction[:, :1])
+    return is_at_rest[:, EGO] & social.any(-1)
+
+
+def _first_time(has_reached: Tensor) -> Tensor:
+    """[T+1, E, V] bool -> [E, V] int64, the first index that is true, -1 where none is."""
+    return torch.where(has_reached.any(0), has_reached.int().argmax(0), -1)
+
+
+def _keep(value: Tensor, n_kept: int, axis: int) -> np.ndarray:
+    return value.narrow(axis, 0, n_kept).cpu().numpy()

@@ -1,0 +1,145 @@
+"""What is measured on evaluated episodes: one table row each, the summary of a table, and Eq. 7.
+
+Reading: "suspend number", "driving time", "deadlock" and "psi (Eq. 7)" are defined there.
+"""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.simulation.state import EGO
+
+AT_REST_MPS = 0.1
+"""Below this speed a vehicle is at rest."""
+MOVING_MPS = 0.5
+"""Above this speed a vehicle moves; in between it keeps what it was."""
+NEAREST = 1
+"""Column of the social vehicle that starts nearest to the corridor."""
+
+
+def episodes(trace: Trace, corridor_length_m: float) -> pd.DataFrame:
+    """One row per episode.
+
+    planner, setting (the family's name), episode (index into the trace)
+    ego_start_distance_m, social_start_distance_m, style_horizon_s: of the ego and the nearest social vehicle
+    outcome: success (all reached their targets, no collision) | collision | deadlock | timeout
+    n_decisions: until the episode ended
+    ego_time_s, social_time_s: until the vehicle reached its target; NaN if it did not
+    driving_time_s: the ego's time again, under the name of the paper's figure
+    suspend_count, suspend_time_s: how often and how long the ego stood before it reached its target
+    reward: sum of Eq. 3, undiscounted
+    full_braking_count: decisions of the ego in which no feasible plan existed
+    mean_horizon_s: mean prediction horizon of the ego; NaN for a driver without one
+    passes_first: ego | social | none, whose centre left the corridor first
+    """
+    suspend_count, suspend_time_s = suspensions(trace)
+    time_s = np.where(trace.reached_step >= 0, trace.reached_step * trace.dt_s, np.nan)
+    is_running = running(trace)
+    return pd.DataFrame(
+        {
+            "planner": trace.planner,
+            "setting": trace.family,
+            "episode": np.arange(len(trace.n_steps)),
+            "ego_start_distance_m": trace.start_distance_m[:, EGO],
+            "social_start_distance_m": trace.start_distance_m[:, NEAREST],
+            "style_horizon_s": trace.style_horizon_s[:, NEAREST],
+            "outcome": np.array(OUTCOMES)[trace.outcome],
+            "n_decisions": trace.n_steps,
+            "ego_time_s": time_s[:, EGO],
+            "social_time_s": time_s[:, NEAREST],
+            "driving_time_s": time_s[:, EGO],
+            "suspend_count": suspend_count,
+            "suspend_time_s": suspend_time_s,
+            "reward": (trace.reward * is_running).sum(0, dtype=np.float64),
+            "full_braking_count": (trace.is_full_braking[:, :, EGO] & is_running).sum(0),
+            "mean_horizon_s": _mean_over(trace.horizon_s[:, :, EGO], is_running),
+            "passes_first": passes_first(trace, corridor_length_m),
+        }
+    )
+
+
+def running(trace: Trace) -> np.ndarray:
+    """[T, E] bool: the decision was taken before the episode's end."""
+    return np.arange(trace.reward.shape[0])[:, None] < trace.n_steps
+
+
+def suspensions(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Times the ego comes to rest after having moved, before it reaches its target, and time at rest.
+
+    Returns the count [E] int64 and the time [E] float64, s. The state after a decision stands for that
+    decision's dt.
+    """
+    speed = trace.speed_mps[:, :, EGO]
+    reached = trace.reached_step[:, EGO]
+    last_step = np.where(reached >= 0, np.minimum(reached, trace.n_steps), trace.n_steps)
+    has_moved = speed[0] > MOVING_MPS
+    is_moving = has_moved.copy()
+    count = np.zeros(len(last_step), dtype=np.int64)
+    n_rest = np.zeros(len(last_step), dtype=np.int64)
+    for step in range(1, len(speed)):
+        is_rest = (speed[step] < AT_REST_MPS) & has_moved & (step <= last_step)
+        count += is_rest & is_moving
+        n_rest += is_rest
+        has_moved |= speed[step] > MOVING_MPS
+        is_moving = np.where(is_rest, False, is_moving | (speed[step] > MOVING_MPS))
+    return count, n_rest * trace.dt_s
+
+
+def passes_first(trace: Trace, corridor_length_m: float) -> np.ndarray:
+    """[E] str, ego | social | none: whose centre was the first to leave the corridor at its far end."""
+    is_through = trace.progress_m > corridor_length_m
+    never = len(is_through)
+    step = np.where(is_through.any(0), is_through.argmax(0), never)
+    ego, social = step[:, EGO], step[:, EGO + 1 :].min(1)
+    return np.select([ego < social, social < never], ["ego", "social"], default="none")
+
+
+def behaviour_index(trace: Trace) -> np.ndarray:
+    """psi of Eq. 7, [T+1, E] float64, rad: positive = prosocial, negative = competitive, NaN after the end.
+
+    psi = atan((s_soc - s_ego) / (d_ini_ego / d_ini_soc)) with the distances s travelled since the start, from
+    when the social vehicle is perceived; of several social vehicles the one that starts nearest counts.
+    """
+    travelled = (trace.progress_m - trace.progress_m[0]).astype(np.float64)
+    ratio = trace.start_distance_m[:, EGO] / trace.start_distance_m[:, NEAREST]
+    psi = np.arctan((travelled[:, :, NEAREST] - travelled[:, :, EGO]) / ratio)
+    return np.where(np.arange(len(psi))[:, None] <= trace.n_steps, psi, np.nan)
+
+
+def summary(table: pd.DataFrame) -> dict[str, Any]:
+    """`evaluation.<setting>.<planner>.<measure>` as nested dicts of plain numbers, from rows of `episodes`.
+
+    success_rate, collision_rate, deadlock_rate, timeout_rate (deadlocks included), arrival_rate (the ego
+    reached its target): shares of the episodes. driving_time_s: mean over arrivals, None if there are none.
+    suspend_count, suspend_time_s, reward: means over all episodes. n_episodes.
+    """
+    evaluation: dict[str, dict[str, Any]] = {}
+    for (setting, planner), rows in table.groupby(["setting", "planner"], sort=False):
+        evaluation.setdefault(str(setting), {})[str(planner)] = _measures(rows)
+    return {"evaluation": evaluation}
+
+
+def _measures(rows: pd.DataFrame) -> dict[str, float | int | None]:
+    share = {outcome: float((rows["outcome"] == outcome).mean()) for outcome in OUTCOMES}
+    arrived = rows["driving_time_s"].dropna()
+    return {
+        "success_rate": share["success"],
+        "collision_rate": share["collision"],
+        "timeout_rate": share["deadlock"] + share["timeout"],
+        "deadlock_rate": share["deadlock"],
+        "arrival_rate": len(arrived) / len(rows),
+        "driving_time_s": float(arrived.mean()) if len(arrived) else None,
+        "suspend_count": float(rows["suspend_count"].mean()),
+        "suspend_time_s": float(rows["suspend_time_s"].mean()),
+        "reward": float(rows["reward"].mean()),
+        "n_episodes": len(rows),
+    }
+
+
+def _mean_over(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Mean of [T, E] values where the mask holds; NaN where it never does or a value is NaN."""
+    total = np.where(mask, values, 0.0).sum(0, dtype=np.float64)
+    n = mask.sum(0)
+    return np.divide(total, n, out=np.full(len(n), np.nan), where=n > 0)

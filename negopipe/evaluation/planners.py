@@ -1,0 +1,36 @@
+"""The ego drivers that are compared: the trained policy and the fixed horizons."""
+
+import torch
+from torch import Generator, Tensor
+
+from negopipe.driver import ChooseHorizon, fixed_horizon
+from negopipe.env import Game
+from negopipe.policy.actor_critic import ActorCritic, greedy_action, sample_action
+from negopipe.simulation.perception import Perception
+
+ADAPTIVE = "adaptive"
+
+
+def fixed_name(horizon_s: float) -> str:
+    """Name of a fixed horizon in tables and files, e.g. `fixed_2`."""
+    return f"fixed_{horizon_s:g}"
+
+
+def fixed_planners(horizons_s: list[float]) -> dict[str, ChooseHorizon]:
+    """The planner with one and the same prediction horizon at every decision."""
+    return {fixed_name(horizon_s): fixed_horizon(horizon_s) for horizon_s in horizons_s}
+
+
+def adaptive_planner(
+    policy: ActorCritic, game: Game, horizons_s: tuple[float, ...], sampling: Generator | None
+) -> ChooseHorizon:
+    """The policy: looks at the grids and picks a horizon; the most probable one, or drawn with `sampling`."""
+    horizons = torch.tensor(horizons_s, device=game.planner.times.device)
+
+    @torch.no_grad()
+    def choose(perception: Perception) -> Tensor:
+        logits, _ = policy(game.draw(perception))
+        action = greedy_action(logits) if sampling is None else sample_action(logits, sampling)
+        return horizons[action][:, None]
+
+    return choose

@@ -1,0 +1,90 @@
+"""The record of evaluated episodes: what every metric, figure and animation is computed from."""
+
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from negopipe.errors import UserError
+
+OUTCOMES = ("success", "collision", "deadlock", "timeout")
+"""Names of `Trace.outcome`: deadlock and timeout are both truncations; deadlock is the nose-to-nose kind."""
+
+ADAPTIVE = "adaptive"
+"""`Trace.planner` of the planner whose prediction horizon the policy chooses."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One planner on one family's tasks: E episodes, at most T decisions, V vehicles (column 0 is the ego).
+
+    Rows after an episode's end (index > n_steps) repeat its last state.
+
+    planner: name, e.g. "adaptive", "fixed_2"
+    family: name of the task family, e.g. "push"
+    dt_s: float, time between decisions
+    start_distance_m: [E, V] float32, m, to the mouth that the vehicle meets first
+    style_horizon_s: [E, V] float32, s, style of the social vehicles; NaN for the ego
+    position_m: [T+1, E, V, 2] float32, world frame
+    yaw_rad: [T+1, E, V] float32, world frame
+    speed_mps: [T+1, E, V] float32
+    progress_m: [T+1, E, V] float32, s along the vehicle's own route, 0 at the mouth
+    horizon_s: [T, E, V] float32, prediction horizon used in the decision; NaN for drivers without one
+    is_full_braking: [T, E, V] bool, no feasible plan existed
+    reward: [T, E] float32, reward of Eq. 3 ("paper" reading) per decision, 0 after the end
+    n_steps: [E] int64, decisions until the episode ended
+    reached_step: [E, V] int64, first step index at which the vehicle had reached its target, -1 = never
+    outcome: [E] int64, index into OUTCOMES
+    """
+
+    planner: str
+    family: str
+    dt_s: float
+    start_distance_m: np.ndarray
+    style_horizon_s: np.ndarray
+    position_m: np.ndarray
+    yaw_rad: np.ndarray
+    speed_mps: np.ndarray
+    progress_m: np.ndarray
+    horizon_s: np.ndarray
+    is_full_braking: np.ndarray
+    reward: np.ndarray
+    n_steps: np.ndarray
+    reached_step: np.ndarray
+    outcome: np.ndarray
+
+
+_FORMAT = "negopipe traces 1"
+"""Written into every file; change the number when a field of `Trace` changes."""
+
+
+def save_traces(path: Path, traces: list[Trace]) -> None:
+    """Write the traces as one compressed npz archive without pickle; `load_traces` gives them back."""
+    arrays: dict[str, np.ndarray] = {"format": np.array(_FORMAT), "n_traces": np.array(len(traces))}
+    for i, trace in enumerate(traces):
+        arrays |= {f"{i}.{field.name}": np.asarray(getattr(trace, field.name)) for field in fields(Trace)}
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
+
+
+def load_traces(path: Path) -> list[Trace]:
+    """The traces of `save_traces`, in the same order.
+
+    Raises UserError if the file is missing or is not such an archive.
+    """
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; the stage `evaluate` writes it")
+    if not zipfile.is_zipfile(path):
+        raise UserError(f"{path}: not a file of traces; it must be an npz archive written by `evaluate`")
+    with np.load(path, allow_pickle=False) as archive:
+        if "format" not in archive or str(archive["format"]) != _FORMAT:
+            raise UserError(f"{path}: not a file of traces; its `format` must be {_FORMAT!r}")
+        return [_read_trace(archive, i) for i in range(int(archive["n_traces"]))]
+
+
+def _read_trace(archive: np.lib.npyio.NpzFile, index: int) -> Trace:
+    values: dict[str, Any] = {field.name: archive[f"{index}.{field.name}"] for field in fields(Trace)}
+    values |= {name: values[name].item() for name in ("planner", "family", "dt_s")}
+    return Trace(**values)

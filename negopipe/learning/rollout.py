@@ -1,0 +1,167 @@
+"""What a learner needs of an environment, and rolling a policy out in it.
+
+Axes: T steps of the rollout, E worlds. `*obs` is the shape of one observation.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Generator, Tensor
+
+from negopipe.policy.actor_critic import ActorCritic, sample_action
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One decision of every world.
+
+    observation: [E, *obs], what the policy sees next; where the episode is over, the next one's first
+    final_observation: [E, *obs] of the state reached, before any reset; equal to `observation` elsewhere
+    reward: [E] float32
+    is_terminated: [E] bool, the episode is over: everyone has arrived, or a collision
+    is_truncated: [E] bool, the episode was cut off at the time limit; the state reached has a value
+    is_success, is_collision: [E] bool, how the episode ended; only meaningful where it did
+    """
+
+    observation: Tensor
+    final_observation: Tensor
+    reward: Tensor
+    is_terminated: Tensor
+    is_truncated: Tensor
+    is_success: Tensor
+    is_collision: Tensor
+
+
+class Environment(Protocol):
+    """E worlds that step together and start a new episode by themselves where one is over."""
+
+    n_worlds: int
+
+    def observe(self) -> Tensor:
+        """What the policy sees now, [E, *obs]."""
+        ...
+
+    def step(self, action: Tensor) -> Transition:
+        """Carry out the actions [E] int64."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """T decisions of E worlds, on the environment's device.
+
+    observation: [T, E, *obs] in the environment's dtype, s_t
+    action: [T, E] int64, a_t
+    reward, value: [T, E] float32, r_t and V(s_t)
+    is_terminated, is_truncated: [T, E] bool
+    final_value: [T, E] float32, value of the final observation where truncated, else 0
+    last_value: [E] float32, V(s_T)
+    episode_return: [T, E] float32, undiscounted return of the episode that ended with step t, NaN where none
+    episode_steps: [T, E] int64, its decisions, 0 where none
+    is_success, is_collision: [T, E] bool, how it ended, false where none
+    """
+
+    observation: Tensor
+    action: Tensor
+    reward: Tensor
+    value: Tensor
+    is_terminated: Tensor
+    is_truncated: Tensor
+    final_value: Tensor
+    last_value: Tensor
+    episode_return: Tensor
+    episode_steps: Tensor
+    is_success: Tensor
+    is_collision: Tensor
+
+
+@dataclass(frozen=True)
+class RunningEpisodes:
+    """The episodes that a rollout leaves unfinished: return [E] float32 and decisions [E] int64 so far."""
+
+    reward_sum: Tensor
+    n_steps: Tensor
+
+    @classmethod
+    def start(cls, n_worlds: int, device: torch.device) -> "RunningEpisodes":
+        return cls(
+            torch.zeros(n_worlds, device=device), torch.zeros(n_worlds, dtype=torch.int64, device=device)
+        )
+
+
+@torch.no_grad()
+def collect(
+    env: Environment, policy: ActorCritic, n_steps: int, generator: Generator, running: RunningEpisodes
+) -> tuple[Rollout, RunningEpisodes]:
+    """Roll `policy` out for `n_steps` decisions, sampling its actions.
+
+    generator: draws the actions; on the environment's device
+    running: the episodes that the worlds are in the middle of, as the previous call returned them
+    """
+    observation = env.observe()
+    steps: list[dict[str, Tensor]] = []
+    with policy.autocast(observation.device):
+        for _ in range(n_steps):
+            logits, value = policy(observation)
+            action = sample_action(logits, generator)
+            transition = env.step(action)
+            running, ended = _count(running, transition)
+            steps.append(
+                {
+                    "observation": observation,
+                    "action": action,
+                    "reward": transition.reward,
+                    "value": value,
+                    "is_terminated": transition.is_terminated,
+                    "is_truncated": transition.is_truncated,
+                    "final_value": _final_value(policy, transition),
+                    **ended,
+                }
+            )
+            observation = transition.observation
+        last_value = policy(observation)[1]
+    stacked = {name: torch.stack([step[name] for step in steps]) for name in steps[0]}
+    return Rollout(**stacked, last_value=last_value), running
+
+
+def _final_value(policy: ActorCritic, transition: Transition) -> Tensor:
+    """Values of the final observations where truncated, else 0, [E]; the network sees only those."""
+    final_value = torch.zeros_like(transition.reward)
+    if transition.is_truncated.any():
+        final_value[transition.is_truncated] = policy(transition.final_observation[transition.is_truncated])[
+            1
+        ]
+    return final_value
+
+
+def _count(running: RunningEpisodes, transition: Transition) -> tuple[RunningEpisodes, dict[str, Tensor]]:
+    """Add a step to the running episodes; read off those that it ended and start them anew."""
+    is_done = transition.is_terminated | transition.is_truncated
+    reward_sum = running.reward_sum + transition.reward
+    n_steps = running.n_steps + 1
+    ended = {
+        "episode_return": torch.where(is_done, reward_sum, torch.nan),
+        "episode_steps": torch.where(is_done, n_steps, 0),
+        "is_success": is_done & transition.is_success,
+        "is_collision": is_done & transition.is_collision,
+    }
+    return RunningEpisodes(torch.where(is_done, 0.0, reward_sum), torch.where(is_done, 0, n_steps)), ended
+
+
+def episode_statistics(rollout: Rollout) -> dict[str, float]:
+    """How the episodes went that ended within the rollout; only their number where none did.
+
+    Keys: n_episodes, return_mean, steps_mean, success_rate, collision_rate.
+    """
+    is_done = rollout.is_terminated | rollout.is_truncated
+    n_episodes = int(is_done.sum())
+    if n_episodes == 0:
+        return {"n_episodes": 0.0}
+    return {
+        "n_episodes": float(n_episodes),
+        "return_mean": float(rollout.episode_return[is_done].mean()),
+        "steps_mean": float(rollout.episode_steps.sum()) / n_episodes,
+        "success_rate": float(rollout.is_success.sum()) / n_episodes,
+        "collision_rate": float(rollout.is_collision.sum()) / n_episodes,
+    }

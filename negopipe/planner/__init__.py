@@ -1,0 +1,1 @@
+"""The motion planner that every vehicle shares: polynomials, candidates, prediction, choice."""

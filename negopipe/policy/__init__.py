@@ -1,0 +1,1 @@
+"""Policies: what picks the prediction horizon. Tensors in, actions out; nothing of the simulator."""

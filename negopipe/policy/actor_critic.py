@@ -1,0 +1,168 @@
+"""The network of the paper: a shared encoder, a policy head and a value head."""
+
+import math
+from itertools import pairwise
+from typing import Literal
+
+import torch
+from torch import Generator, Tensor, nn
+
+from negopipe.schema import NonNegativeFloat, PositiveInt, schema
+
+HIDDEN_GAIN = math.sqrt(2)
+POLICY_GAIN = 0.01
+"""Gain of the policy's last layer: small, so that the first policy is close to uniform."""
+
+
+@schema
+class ConvConfig:
+    """One convolution, followed by ReLU: output channels, side of the square kernel, stride (cells)."""
+
+    channels: PositiveInt
+    kernel: PositiveInt
+    stride: PositiveInt
+
+
+@schema
+class PolicyConfig:
+    """The network and the actions it chooses from.
+
+    conv: convolutions over the grids, in order
+    encoder_width: units of the linear layer behind them
+    head_widths: hidden units of the policy head and of the value head, alike
+    horizons_s: action i makes the ego predict `horizons_s[i]` seconds ahead
+    precision: arithmetic of the encoder. `auto` is bfloat16 where the processor multiplies it natively
+    """
+
+    conv: tuple[ConvConfig, ...]
+    encoder_width: PositiveInt
+    head_widths: tuple[PositiveInt, ...]
+    horizons_s: tuple[NonNegativeFloat, ...]
+    precision: Literal["auto", "float32", "bfloat16"]
+
+
+def encoder_dtype(precision: str, device: torch.device) -> torch.dtype:
+    """The encoder's dtype. `auto` asks what the processor can do and never times it: one seed, one result."""
+    if precision != "auto":
+        return {"float32": torch.float32, "bfloat16": torch.bfloat16}[precision]
+    if device.type == "cuda":
+        return torch.bfloat16
+    capabilities = torch.cpu.get_capabilities()
+    is_native = capabilities.get("avx512_bf16", False) or capabilities.get("amx_bf16", False)
+    return torch.bfloat16 if is_native else torch.float32
+
+
+class ActorCritic(nn.Module):
+    """pi(a|s) and V(s) on a shared encoder.
+
+    The value head's output is a normalised value v; V = value_mean + value_std * v is in units of return, and
+    so is everything outside this class. `rescale_value` moves mean and scale without changing V.
+
+    encoder: maps observations [E, *obs] to features [E, n_features], float32 or, under autocast, `dtype`
+    """
+
+    value_mean: Tensor
+    value_std: Tensor
+
+    def __init__(
+        self,
+        encoder: nn.Module,
+        n_features: int,
+        head_widths: tuple[int, ...],
+        n_actions: int,
+        dtype: torch.dtype,
+        generator: Generator,
+    ) -> None:
+        super().__init__()
+        self.encoder = encoder
+        self.policy_head = mlp((n_features, *head_widths, n_actions))
+        self.value_head = mlp((n_features, *head_widths, 1))
+        self.dtype = dtype
+        self.register_buffer("value_mean", torch.zeros(()))
+        self.register_buffer("value_std", torch.ones(()))
+        self._initialise(generator)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Observations [E, *obs] -> logits [E, A] float32, V [E] float32 in units of return."""
+        with self.autocast(observation.device):
+            features = self.encoder(observation.to(self.dtype))
+        with torch.autocast(observation.device.type, enabled=False):
+            features = features.float()
+            logits = self.policy_head(features)
+            value = self.value_head(features).squeeze(-1)
+        return logits, self.value_mean + self.value_std * value
+
+    def autocast(self, device: torch.device) -> torch.autocast:
+        """The encoder's precision. Around several forward passes it casts the weights only once."""
+        return torch.autocast(device.type, dtype=self.dtype, enabled=self.dtype != torch.float32)
+
+    @torch.no_grad()
+    def rescale_value(self, mean: Tensor, std: Tensor) -> None:
+        """Set value_mean and value_std and adapt the last layer: V stays the same (van Hasselt 2016)."""
+        last = self.value_head[-1]
+        assert isinstance(last, nn.Linear)
+        last.weight.mul_(self.value_std / std)
+        last.bias.mul_(self.value_std / std).add_((self.value_mean - mean) / std)
+        self.value_mean.copy_(mean)
+        self.value_std.copy_(std)
+
+    def _initialise(self, generator: Generator) -> None:
+        for layer in self.modules():
+            if isinstance(layer, nn.Linear | nn.Conv2d):
+                nn.init.orthogonal_(layer.weight, HIDDEN_GAIN, generator=generator)
+                nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+        with torch.no_grad():
+            self.policy_head[-1].weight.mul_(POLICY_GAIN / HIDDEN_GAIN)  # type: ignore[operator,union-attr]
+            self.value_head[-1].weight.mul_(1 / HIDDEN_GAIN)  # type: ignore[operator,union-attr]
+
+
+class GridEncoder(nn.Module):
+    """Occupancy grids [E, C, H, W] (0 or 1) -> features [E, encoder_width], channels last in memory."""
+
+    def __init__(self, config: PolicyConfig, observation_shape: tuple[int, int, int]) -> None:
+        super().__init__()
+        channels, height, width = observation_shape
+        layers: list[nn.Module] = []
+        for conv in config.conv:
+            layers += [nn.Conv2d(channels, conv.channels, conv.kernel, conv.stride), nn.ReLU()]
+            channels = conv.channels
+            height, width = ((side - conv.kernel) // conv.stride + 1 for side in (height, width))
+        self.convolutions = nn.Sequential(*layers)
+        self.linear = nn.Linear(channels * height * width, config.encoder_width)
+
+    def forward(self, grid: Tensor) -> Tensor:
+        maps = self.convolutions(grid.contiguous(memory_format=torch.channels_last))
+        return torch.relu(self.linear(maps.flatten(1)))
+
+
+def grid_actor_critic(
+    config: PolicyConfig, observation_shape: tuple[int, int, int], device: torch.device, generator: Generator
+) -> ActorCritic:
+    """The paper's network on `device`, for grids [C, H, W]. The weights depend on the CPU generator only."""
+    return ActorCritic(
+        encoder=GridEncoder(config, observation_shape),
+        n_features=config.encoder_width,
+        head_widths=config.head_widths,
+        n_actions=len(config.horizons_s),
+        dtype=encoder_dtype(config.precision, device),
+        generator=generator,
+    ).to(device)
+
+
+def mlp(widths: tuple[int, ...]) -> nn.Sequential:
+    """Linear layers from widths[0] to widths[-1] with ReLU between them."""
+    layers: list[nn.Module] = []
+    for n_inputs, n_outputs in pairwise(widths):
+        layers += [nn.Linear(n_inputs, n_outputs), nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+def sample_action(logits: Tensor, generator: Generator) -> Tensor:
+    """Draw actions [E] int64 from the policy with logits [E, A]."""
+    return torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
+
+
+def greedy_action(logits: Tensor) -> Tensor:
+    """The most probable actions [E] int64 of the policy with logits [E, A]."""
+    return logits.argmax(-1)

@@ -1,0 +1,1 @@
+"""What a person looks at: figures, animations and the page that holds them."""

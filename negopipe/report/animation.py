@@ -1,0 +1,264 @@
+"""Bird's-eye animations of evaluated episodes, in real time, as GIF; single frames as PNG.
+
+One panel per planner. The ribbon ahead of a social vehicle is what the ego's planner predicts of it: the way
+it drives within the prediction horizon at its present speed, in the colour of that horizon.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon, Rectangle
+from PIL import Image
+
+from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.report.figures import (
+    CORRIDOR,
+    INK,
+    OUTCOME_COLORS,
+    QUIET,
+    horizon_color,
+    planner_colors,
+    planner_label,
+    styled,
+)
+from negopipe.simulation.state import EGO
+
+WIDTH_PX, TOP_PX, HEADER_PX, DPI = 640, 26, 26, 100
+GROUND, ROAD, PARKED, SOCIAL = "#DDE3DC", "#F7F7F5", "#B9BDC2", "#4A4A4A"
+HOLD_S = 1.5
+"""How long the last frame stays before the animation starts again."""
+RIBBON_ALPHA = 0.6
+BLOCK_PX = 4
+"""Height of a colour's block in the picture from which the palette is taken: enough pixels to be kept."""
+N_COLORS = 128
+"""Colours of the GIF's one palette; edges are smoothed, so there are more shades than colours named here."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What stands still, in the world frame, m and rad.
+
+    parked_cars: [P, 5] x, y, yaw, length, width
+    kerb_y_m: y of the right and the left kerb
+    corridor_x_m: x of the corridor's two mouths
+    route_m: [R, 2] x (increasing) and y of the route towards +x; the opposite one is its mirror image through
+        the origin
+    vehicle_length_m, vehicle_width_m: footprint of every vehicle
+    """
+
+    parked_cars: np.ndarray
+    kerb_y_m: tuple[float, float]
+    corridor_x_m: tuple[float, float]
+    route_m: np.ndarray
+    vehicle_length_m: float
+    vehicle_width_m: float
+
+
+def choose_episodes(trace: Trace, n_episodes: int) -> list[int]:
+    """Indices of the episodes to show: successes at evenly spaced ranks of the return; of one, the median.
+
+    Without a success, all episodes take part. Equal returns rank by index: the same choice each time.
+    """
+    shown = np.flatnonzero(trace.outcome == OUTCOMES.index("success"))
+    if len(shown) == 0:
+        shown = np.arange(len(trace.outcome))
+    ranked = shown[np.argsort(trace.reward.sum(0)[shown], kind="stable")]
+    n_shown = min(n_episodes, len(ranked))
+    ranks = len(ranked) * (np.arange(n_shown) + 1) / (n_shown + 1)
+    return [int(ranked[int(rank)]) for rank in ranks]
+
+
+@styled
+def animate(traces: Sequence[Trace], episode: int, scene: Scene, fps: int) -> bytes:
+    """The episode under every planner of `traces`, one panel each, as a looping GIF in real time.
+
+    fps is rounded so that a frame lasts whole hundredths of a second, the unit of GIF.
+    """
+    frame_s = round(100 / fps) / 100
+    duration_s = max(trace.n_steps[episode] * trace.dt_s for trace in traces)
+    n_frames = int(np.ceil(duration_s / frame_s)) + 1
+    film = _Film(traces, episode, scene)
+    frames = [film.draw(frame * frame_s) for frame in range(n_frames)]
+    palette = _palette([frames[0], frames[n_frames // 2], frames[-1]], _horizons(traces, episode))
+    flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    durations_ms = [round(1000 * frame_s)] * (n_frames - 1) + [round(1000 * HOLD_S)]
+    buffer = BytesIO()
+    flat[0].save(buffer, "GIF", save_all=True, append_images=flat[1:], duration=durations_ms, loop=0)
+    return buffer.getvalue()
+
+
+@styled
+def still(traces: Sequence[Trace], episode: int, scene: Scene, time_s: float) -> bytes:
+    """One frame of the same picture as PNG; after an episode's end its last state stays."""
+    buffer = BytesIO()
+    _Film(traces, episode, scene).draw(time_s).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def _horizons(traces: Sequence[Trace], episode: int) -> np.ndarray:
+    """The prediction horizons that appear in the film, s."""
+    used = np.concatenate([trace.horizon_s[: trace.n_steps[episode], episode, EGO] for trace in traces])
+    return np.unique(used[np.isfinite(used)])
+
+
+def _palette(frames: Sequence[Image.Image], horizons_s: np.ndarray) -> Image.Image:
+    """One palette for all frames, so that what stands still stays the same and is stored once.
+
+    A ribbon's colour may be missing in the frames given: a block of it over every background is added.
+    """
+    ribbons = np.array([to_rgb(horizon_color(horizon_s)) for horizon_s in horizons_s]).reshape(-1, 1, 3)
+    grounds = np.array([to_rgb(color) for color in (ROAD, CORRIDOR, PARKED, GROUND)])
+    mixed = RIBBON_ALPHA * ribbons + (1 - RIBBON_ALPHA) * grounds
+    blocks = np.repeat(np.round(255 * mixed).astype(np.uint8).reshape(-1, 1, 3), WIDTH_PX, 1)
+    blocks = np.repeat(blocks, BLOCK_PX, 0)
+    return Image.fromarray(np.concatenate([*map(np.asarray, frames), blocks])).quantize(N_COLORS)
+
+
+class _Film:
+    """Draws frames: what stands still once, what moves on top of it."""
+
+    def __init__(self, traces: Sequence[Trace], episode: int, scene: Scene) -> None:
+        reach_m = max(np.abs(trace.position_m[0, episode, :, 0]).max() for trace in traces) + 4
+        low_m, high_m = scene.kerb_y_m[0] - 0.7, scene.kerb_y_m[1] + 0.7
+        road_px = round(WIDTH_PX * (high_m - low_m) / (2 * reach_m))
+        height_px = TOP_PX + len(traces) * (HEADER_PX + road_px + 4)
+        self.figure = Figure((WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
+        self.canvas = FigureCanvasAgg(self.figure)
+        self.panels = []
+        for row, trace in enumerate(traces):
+            bottom_px = height_px - TOP_PX - (row + 1) * (HEADER_PX + road_px) - row * 4
+            axis = self.figure.add_axes((0, bottom_px / height_px, 1, road_px / height_px))
+            axis.set(xlim=(-reach_m, reach_m), ylim=(low_m, high_m))
+            axis.axis("off")
+            _draw_scene(axis, scene, reach_m)
+            self.panels.append(_Panel(axis, trace, episode, scene))
+        self.clock = self.figure.text(0.012, 1 - 5 / height_px, "", va="top", fontsize=12, animated=True)
+        self.canvas.draw()
+        self.background = self.canvas.copy_from_bbox(self.figure.bbox)
+
+    def draw(self, time_s: float) -> Image.Image:
+        self.canvas.restore_region(self.background)  # type: ignore[no-untyped-call]
+        self.clock.set_text(f"{time_s:.1f} s")
+        self.figure.draw_artist(self.clock)
+        for panel in self.panels:
+            for artist in panel.artists_at(time_s):
+                panel.axis.draw_artist(artist)
+        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy())
+
+
+class _Panel:
+    """The moving parts of one planner's episode."""
+
+    def __init__(self, axis: Axes, trace: Trace, episode: int, scene: Scene) -> None:
+        self.axis, self.trace, self.episode, self.scene = axis, trace, episode, scene
+        self.yaw_rad = np.unwrap(trace.yaw_rad[:, episode], axis=0)
+        n_vehicles = self.yaw_rad.shape[1]
+        colors = [planner_colors([trace.planner])[trace.planner], *[SOCIAL] * (n_vehicles - 1)]
+        self.ribbons = [_polygon(axis, QUIET, alpha=RIBBON_ALPHA) for _ in colors[1:]]
+        self.bodies = [_polygon(axis, color) for color in colors]
+        self.windscreens = [_polygon(axis, "white") for _ in colors]
+        (self.crash,) = axis.plot(
+            [0], [0], "X", color=OUTCOME_COLORS["collision"], markersize=15, mec="white"
+        )
+        above_road: Any = {"transform": axis.transAxes, "va": "bottom", "clip_on": False}
+        label = planner_label(trace.planner)
+        self.title = axis.text(0.012, 1.03, label, fontsize=12, fontweight="bold", **above_road)
+        self.horizon = axis.text(0.19, 1.03, "", fontsize=12, **above_road)
+        self.status = axis.text(0.988, 1.03, "", fontsize=12, ha="right", **above_road)
+        for artist in self._moving():
+            artist.set_animated(True)
+
+    def _moving(self) -> list[Artist]:
+        shapes = [*self.ribbons, *self.bodies, *self.windscreens]
+        return [*shapes, self.crash, self.horizon, self.status]
+
+    def artists_at(self, time_s: float) -> list[Artist]:
+        """Moves everything to where it is at that time and returns what is to be drawn, in order."""
+        end = self.trace.n_steps[self.episode]
+        step = min(time_s / self.trace.dt_s, float(end))
+        position, yaw, speed = self._motion(step)
+        horizon_s = self.trace.horizon_s[min(int(step), end - 1), self.episode, EGO]
+        for vehicle, (body, windscreen) in enumerate(zip(self.bodies, self.windscreens, strict=True)):
+            length, width = self.scene.vehicle_length_m, self.scene.vehicle_width_m
+            body.set_xy(_corners(position[vehicle], yaw[vehicle], (-length / 2, length / 2), width))
+            glass = (0.14 * length, 0.3 * length)
+            windscreen.set_xy(_corners(position[vehicle], yaw[vehicle], glass, 0.8 * width))
+        self._show_prediction(position, yaw, speed, np.nan if step >= end else horizon_s)
+        self._show_status(step >= end, position, speed)
+        return self._moving()
+
+    def _motion(self, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position [V, 2], yaw [V], speed [V] between two decisions, interpolated linearly."""
+        before = min(int(step), len(self.yaw_rad) - 2)
+        share = step - before
+        position = self.trace.position_m[before : before + 2, self.episode]
+        speed = self.trace.speed_mps[before : before + 2, self.episode]
+        yaw = self.yaw_rad[before : before + 2]
+        return tuple((1 - share) * pair[0] + share * pair[1] for pair in (position, yaw, speed))  # type: ignore[return-value]
+
+    def _show_prediction(
+        self, position: np.ndarray, yaw: np.ndarray, speed: np.ndarray, horizon_s: float
+    ) -> None:
+        has_horizon = np.isfinite(horizon_s)
+        self.horizon.set_text(f"looks {horizon_s:g} s ahead" if has_horizon else "")
+        for ribbon, vehicle in zip(self.ribbons, range(1, len(yaw)), strict=True):
+            way_m = speed[vehicle] * horizon_s if has_horizon else 0.0
+            ribbon.set_xy(_ribbon(self.scene, position[vehicle], np.cos(yaw[vehicle]), way_m))
+            ribbon.set_facecolor(horizon_color(horizon_s) if has_horizon else QUIET)
+
+    def _show_status(self, is_over: bool, position: np.ndarray, speed: np.ndarray) -> None:
+        outcome = OUTCOMES[self.trace.outcome[self.episode]]
+        seconds = self.trace.n_steps[self.episode] * self.trace.dt_s
+        ends = f"{outcome} after {seconds:.1f} s"
+        drives = f"ego {speed[EGO]:.1f} m/s, social {speed[EGO + 1]:.1f} m/s"
+        self.status.set_text(ends if is_over else drives)
+        self.status.set_fontweight("bold" if is_over else "normal")
+        self.crash.set_visible(bool(is_over) and outcome == "collision")
+        nearest = position[EGO + 1 :][np.abs(position[EGO + 1 :] - position[EGO]).sum(1).argmin()]
+        middle = (position[EGO] + nearest) / 2
+        self.crash.set_data(middle[:1], middle[1:])
+
+
+def _polygon(axis: Axes, color: str, alpha: float = 1.0) -> Polygon:
+    polygon = Polygon([(0.0, 0.0)] * 3, facecolor=color, linewidth=0, alpha=alpha)
+    axis.add_patch(polygon)
+    return polygon
+
+
+def _draw_scene(axis: Axes, scene: Scene, reach_m: float) -> None:
+    right, left = scene.kerb_y_m
+    first, last = scene.corridor_x_m
+    axis.add_patch(Rectangle((-reach_m, right - 5), 2 * reach_m, left - right + 10, color=GROUND, lw=0))
+    axis.add_patch(Rectangle((-reach_m, right), 2 * reach_m, left - right, color=ROAD, lw=0))
+    axis.add_patch(Rectangle((first, right), last - first, left - right, color=CORRIDOR, lw=0))
+    for y in scene.kerb_y_m:
+        axis.plot([-reach_m, reach_m], [y, y], color=INK, linewidth=1.0)
+    for x, y, yaw, length, width in scene.parked_cars:
+        corners = _corners(np.array([x, y]), yaw, (-length / 2, length / 2), width)
+        axis.add_patch(Polygon(corners, facecolor=PARKED, edgecolor=QUIET, lw=0.8))
+
+
+def _corners(center: np.ndarray, yaw_rad: float, along_m: tuple[float, float], width_m: float) -> np.ndarray:
+    """[4, 2] corners of a rectangle in the body frame's `along_m` interval, in the world frame."""
+    body = np.array([(x, y) for x, y in zip(np.repeat(along_m, 2), (-1, 1, 1, -1), strict=True)])
+    body[:, 1] *= width_m / 2
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    return center + body @ np.array([[cos, sin], [-sin, cos]])
+
+
+def _ribbon(scene: Scene, position: np.ndarray, heading_x: float, way_m: float) -> np.ndarray:
+    """[2N, 2] outline of the next `way_m` metres of the route of a vehicle at `position`."""
+    direction = np.sign(heading_x)
+    x = position[0] + direction * np.linspace(0, way_m, 24)
+    route_x, route_y = scene.route_m.T
+    y = direction * np.interp(direction * x, route_x, route_y)
+    half = 0.8 * scene.vehicle_width_m / 2
+    return np.concatenate([np.stack([x, y - half], -1), np.stack([x, y + half], -1)[::-1]])

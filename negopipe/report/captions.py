@@ -1,0 +1,66 @@
+"""How to read each figure of the report: name -> title and text, with `{values}` that `caption` fills in."""
+
+CAPTIONS = {
+    "comparison": (
+        "Arrivals, time, suspensions and reward: {settings}",
+        """Boxes hold the middle half of the episodes, the line in them is the median; thin lines reach
+        from the 10th to the 90th percentile; the dot and the number are the mean. Driving times are
+        of arrivals only: read them together with the share that arrived. A crash ends an episode
+        early, so few suspensions and little time at rest speak only for a planner that arrives.""",
+    ),
+    "outcomes": (
+        "How the episodes ended",
+        """Each bar is all episodes of a planner. Deadlock: both vehicles stand, facing each other;
+        timeout: any other episode that was not finished within the limit.""",
+    ),
+    "success_by_style": (
+        "Success against every style",
+        """Rows are planners, columns are styles of the other driver, which the ego is not told. A
+        planner that reads the other driver is dark in the whole row.""",
+    ),
+    "space_time": (
+        "{setting}: one task, every planner",
+        """The ego drives upwards in the diagram, the social vehicle downwards; where a line is flat, the
+        vehicle stands. The shaded band is the corridor. The ego's line has the colour of the
+        prediction horizon that it used; a cross is a collision. The task is that of the animation
+        side by side.""",
+    ),
+    "film": (
+        "{setting}, episode {episode}: {planners}",
+        """The ego comes from the left in its planner's colour, the social vehicle (own horizon
+        {style_s:g} s) from the right in grey, with the ribbon that the ego's planner foresees of it.""",
+    ),
+    "behaviour_index": (
+        "Behaviour index",
+        """Eq. 7. Above zero the social vehicle has come further since the start than the ego
+        (prosocial), below zero the ego has (competitive). Thick line and band: median and 10th to
+        90th percentile of the adaptive planner; thin lines: medians of the others. A line ends where
+        fewer than a quarter of the planner's episodes still run.""",
+    ),
+    "horizons": (
+        "Horizons that the policy chose",
+        """At each time, the share of all episodes in which the adaptive planner used each prediction
+        horizon: 0 s ignores the social vehicle and pushes, 6 s gives way early. White: the episode is
+        over.""",
+    ),
+    "training": (
+        "Learning curves",
+        """Thin: as logged; thick: running mean. Stages of the curriculum: {stages}. A dashed line begins
+        the next one, whose tasks are drawn differently, so a drop there is no setback.""",
+    ),
+}
+
+WATCH = (
+    "Real time. The adaptive planner's successes in a setting are ranked by return (without a success, all "
+    "episodes are). The median one is shown side by side with other planners on the same task; evenly spaced "
+    "ranks are shown alone."
+)
+NOT_TRAINED = (
+    "The policy was not trained in this run: there is no history.csv. The config names its checkpoint."
+)
+
+
+def caption(name: str, **values: object) -> tuple[str, str]:
+    """Title and text, filled in, each on one line."""
+    title, text = CAPTIONS[name]
+    return title.format(**values), " ".join(text.split()).format(**values)

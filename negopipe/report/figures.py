@@ -1,0 +1,395 @@
+"""The paper's figures and a few more, drawn from the evaluation's table, its traces and the training history.
+
+Every function takes data and returns a matplotlib Figure 4.4 inches wide: a column in print, and still
+readable on a phone. Planner colours are the same in every figure: a fixed horizon has the colour of its
+horizon, from amber (0 s, sees nobody coming) to navy (6 s, careful). The colours stay apart under the three
+common colour vision deficiencies (smallest CIE76 difference 27).
+"""
+
+import math
+from collections.abc import Sequence
+from io import BytesIO
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, to_hex
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from negopipe.evaluation.metrics import behaviour_index, running
+from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES, Trace
+from negopipe.simulation.state import EGO
+
+ADAPTIVE_COLOR = "#00A0A0"
+OTHER_COLORS = ("#7A7A7A", "#B08D57", "#B5B5B5", "#5E7F5E")
+OUTCOME_COLORS = {"success": "#BFD9EA", "collision": "#D55E00", "deadlock": "#3C3C3C", "timeout": "#A8A8A8"}
+INK, QUIET, CORRIDOR = "#222222", "#8A8A8A", "#EFEBE2"
+LONGEST_HORIZON_S = 6.0
+HORIZON_COLORMAP = LinearSegmentedColormap.from_list("horizon", ["#E09000", "#D64550", "#9A4FBF", "#1B1B4B"])
+
+WIDTH_IN = 4.4
+STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": QUIET,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "grid.color": "#E4E4E4",
+    "figure.facecolor": "white",
+    "savefig.dpi": 200,
+    "svg.hashsalt": "negopipe",
+}
+styled = matplotlib.rc_context(STYLE)
+"""Decorator (and context) in which everything is drawn and saved."""
+
+
+def horizon_color(horizon_s: float) -> str:
+    """Colour of a prediction horizon, as hex."""
+    return to_hex(HORIZON_COLORMAP(min(horizon_s / LONGEST_HORIZON_S, 1.0)))
+
+
+def planner_colors(planners: Sequence[str]) -> dict[str, str]:
+    """Colour of each planner, as hex; neither adaptive nor fixed: quiet ones in their order."""
+    known = {name: ADAPTIVE_COLOR for name in planners if name == ADAPTIVE}
+    known |= {name: horizon_color(float(name[6:])) for name in planners if name.startswith("fixed_")}
+    others = [name for name in planners if name not in known]
+    return known | {name: OTHER_COLORS[i % len(OTHER_COLORS)] for i, name in enumerate(others)}
+
+
+def planner_label(planner: str) -> str:
+    """`fixed_2` -> `fixed 2 s` (which breaks before the 2 only), other names without underscores."""
+    return planner.replace("_", " ") + ("\N{NO-BREAK SPACE}s" if planner.startswith("fixed_") else "")
+
+
+@styled
+def comparison(table: pd.DataFrame) -> Figure:
+    """The paper's bars: arrivals, driving time, suspensions, time at rest and reward of every planner.
+
+    Boxes hold the middle half of the episodes, whiskers reach from the 10th to the 90th percentile, the line
+    is the median, the dot and the number are the mean.
+    """
+    settings, planners = _names(table)
+    measures = {
+        "driving_time_s": "driving time of arrivals [s]",
+        "suspend_count": "suspensions [count]",
+        "suspend_time_s": "time at rest [s]",
+        "reward": "reward [sum of Eq. 3]",
+    }
+    size = (WIDTH_IN, 1.0 + (0.35 + 0.16 * len(planners)) * 5)
+    figure = Figure(size, layout="constrained")
+    axes = figure.subplots(5, len(settings), sharex="row", sharey=True, squeeze=False)
+    for column, setting in enumerate(settings):
+        rows = table[table["setting"] == setting]
+        by_planner = [rows[rows["planner"] == planner] for planner in planners]
+        _arrival_bars(axes[0, column], by_planner, planners)
+        for axis, (measure, label) in zip(axes[1:, column], measures.items(), strict=True):
+            _boxes(axis, [part[measure].dropna().to_numpy() for part in by_planner], planners)
+            axis.set_xlabel(label)
+        axes[0, column].set_title(setting.capitalize())
+    axes[0, 0].set_yticks(range(len(planners)), [planner_label(planner) for planner in planners])
+    axes[0, 0].set_ylim(len(planners) - 0.5, -0.5)
+    return figure
+
+
+def _arrival_bars(axis: Axes, by_planner: list[pd.DataFrame], planners: list[str]) -> None:
+    share = [100 * part["driving_time_s"].notna().mean() for part in by_planner]
+    colors = planner_colors(planners)
+    axis.barh(range(len(planners)), share, height=0.62, color=[colors[name] for name in planners])
+    axis.set_xlim(0, 100)
+    axis.set_xlabel("ego arrived [% of episodes]")
+    _row_numbers(axis, [f"{value:.0f}" for value in share])
+
+
+def _boxes(axis: Axes, samples: list[np.ndarray], planners: list[str]) -> None:
+    boxes = axis.boxplot(
+        samples,
+        positions=range(len(planners)),
+        orientation="horizontal",
+        widths=0.62,
+        whis=(10, 90),
+        showfliers=False,
+        showmeans=True,
+        showcaps=False,
+        patch_artist=True,
+        manage_ticks=False,
+        medianprops={"color": INK, "linewidth": 1.4},
+        whiskerprops={"color": QUIET},
+        meanprops={"marker": "o", "markeredgecolor": "white", "markersize": 5.5},
+    )
+    colors = planner_colors(planners)
+    for patch, mean, planner in zip(boxes["boxes"], boxes["means"], planners, strict=True):
+        patch.set(facecolor=colors[planner], edgecolor=colors[planner], alpha=0.55)
+        mean.set_markerfacecolor(colors[planner])
+    axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10], integer=True))
+    _row_numbers(axis, [f"{sample.mean():.1f}" if len(sample) else "none" for sample in samples])
+
+
+def _row_numbers(axis: Axes, texts: list[str]) -> None:
+    """A number at the right end of every row, and quiet lines behind the rows."""
+    axis.grid(axis="x")
+    axis.set_axisbelow(True)
+    axis.tick_params(axis="y", length=0)
+    for row, text in enumerate(texts):
+        axis.text(1.02, row, text, transform=axis.get_yaxis_transform(), va="center", fontsize=8)
+
+
+@styled
+def outcomes(table: pd.DataFrame) -> Figure:
+    """How the episodes of every planner ended, one stacked bar each, one panel per setting."""
+    settings, planners = _names(table)
+    figure = Figure((WIDTH_IN, 0.7 + (0.5 + 0.26 * len(planners)) * len(settings)), layout="constrained")
+    axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, setting in zip(axes, settings, strict=True):
+        rows = table[table["setting"] == setting]
+        share = pd.crosstab(rows["planner"], rows["outcome"], normalize="index") * 100
+        _stacked_bars(axis, share.reindex(index=planners, columns=list(OUTCOMES), fill_value=0.0))
+        axis.set_title(setting.capitalize())
+    axes[-1].set_xlabel("episodes [%]")
+    handles = [Patch(color=color, label=name) for name, color in OUTCOME_COLORS.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
+    return figure
+
+
+def _stacked_bars(axis: Axes, share: pd.DataFrame) -> None:
+    """Rows of `share` as horizontal bars, columns as segments with their percentage where it fits."""
+    left = np.zeros(len(share))
+    for outcome in share.columns:
+        width = share[outcome].to_numpy()
+        axis.barh(range(len(share)), width, left=left, height=0.72, color=OUTCOME_COLORS[outcome])
+        color = "white" if outcome == "deadlock" else INK
+        for row in np.flatnonzero(width >= 6).tolist():
+            center = left[row] + width[row] / 2
+            axis.text(center, row, f"{width[row]:.0f}", ha="center", va="center", color=color, fontsize=8)
+        left += width
+    axis.set(xlim=(0, 100), ylim=(len(share) - 0.5, -0.5))
+    axis.set_yticks(range(len(share)), [planner_label(planner) for planner in share.index])
+    axis.tick_params(axis="y", length=0)
+
+
+@styled
+def success_by_style(table: pd.DataFrame) -> Figure:
+    """Share of successes of every planner against every style of the social driver."""
+    planners = _names(table)[1]
+    rate = 100 * table.assign(is_success=table["outcome"] == "success").pivot_table(
+        index="planner", columns="style_horizon_s", values="is_success"
+    )
+    rate = rate.reindex(index=planners)
+    figure = Figure((WIDTH_IN, 1.0 + 0.34 * len(planners)), layout="constrained")
+    axis = figure.subplots()
+    axis.imshow(rate, cmap="Blues", vmin=0, vmax=130, aspect="auto")
+    for (row, column), value in np.ndenumerate(rate.to_numpy()):
+        text = "" if np.isnan(value) else f"{value:.0f}"
+        axis.text(column, row, text, ha="center", va="center", color="white" if value > 75 else INK)
+    axis.set_xticks(range(rate.shape[1]), [f"{style:g}" for style in rate.columns])
+    axis.set_yticks(range(len(planners)), [planner_label(planner) for planner in planners])
+    axis.set_xlabel("prediction horizon of the social driver [s], short = aggressive")
+    axis.set_title("Success [% of episodes]")
+    axis.tick_params(length=0)
+    axis.spines[:].set_visible(False)
+    return figure
+
+
+@styled
+def behaviour(traces: Sequence[Trace]) -> Figure:
+    """The behaviour index of Eq. 7 over time: adaptive as median and 10-90 % band, others as medians.
+
+    A curve ends where fewer than a quarter of the planner's episodes still run.
+    """
+    settings = _families(traces)
+    figure = Figure((WIDTH_IN, 0.6 + 1.9 * len(settings)), layout="constrained")
+    axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
+    colors = planner_colors([trace.planner for trace in traces])
+    for axis, setting in zip(axes, settings, strict=True):
+        for trace in (trace for trace in traces if trace.family == setting):
+            _behaviour_curve(axis, trace, colors[trace.planner])
+        axis.axhline(0, color=QUIET, linewidth=0.8)
+        axis.set(ylim=(-95, 95), ylabel="behaviour index ψ [°]", title=setting.capitalize())
+        axis.set_yticks([-90, -45, 0, 45, 90])
+        for y, text in ((0.75, "prosocial"), (0.25, "competitive")):
+            axis.text(1.01, y, text, transform=axis.transAxes, va="center", rotation=270, fontsize=8)
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(left=0)
+    _planner_legend(figure, list(colors))
+    return figure
+
+
+def _behaviour_curve(axis: Axes, trace: Trace, color: str) -> None:
+    psi = np.degrees(behaviour_index(trace))
+    psi = psi[np.isfinite(psi).mean(1) >= 0.25]
+    low, median, high = np.nanpercentile(psi, (10, 50, 90), axis=1)
+    time_s = np.arange(len(psi)) * trace.dt_s
+    is_adaptive = trace.planner == ADAPTIVE
+    if is_adaptive:
+        axis.fill_between(time_s, low, high, color=color, alpha=0.25, linewidth=0)
+    axis.plot(
+        time_s, median, color=color, linewidth=2.2 if is_adaptive else 1.3, zorder=3 if is_adaptive else 2
+    )
+
+
+@styled
+def horizons(traces: Sequence[Trace]) -> Figure:
+    """Which prediction horizon the adaptive planner chooses over time, as shares of all its episodes."""
+    adaptive = [trace for trace in traces if trace.planner == ADAPTIVE]
+    figure = Figure((WIDTH_IN, 0.7 + 1.5 * len(adaptive)), layout="constrained")
+    axes = figure.subplots(len(adaptive), 1, sharex=True, squeeze=False)[:, 0]
+    chosen = np.concatenate([trace.horizon_s[:, :, EGO][running(trace)] for trace in adaptive])
+    levels = np.unique(chosen)
+    for axis, trace in zip(axes, adaptive, strict=True):
+        edges_s = np.arange(len(trace.reward) + 1) * trace.dt_s
+        base = np.zeros(len(trace.reward))
+        for level in levels:
+            share = 100 * (running(trace) & (trace.horizon_s[:, :, EGO] == level)).mean(1)
+            axis.stairs(base + share, edges_s, baseline=base, fill=True, color=horizon_color(level))
+            base = base + share
+        axis.stairs(base, edges_s, baseline=None, color=INK, linewidth=0.8)
+        axis.set(ylim=(0, 100), ylabel="episodes [%]", title=trace.family.capitalize())
+    axes[-1].set(xlabel="time [s]", xlim=(0, max(trace.n_steps.max() * trace.dt_s for trace in adaptive)))
+    _horizon_legend(figure, levels)
+    return figure
+
+
+@styled
+def space_time(traces: Sequence[Trace], episode: int, corridor_x_m: tuple[float, float]) -> Figure:
+    """One episode under every planner: where both vehicles are along the road over time.
+
+    traces: of one family; the ego's line has the colour of the prediction horizon of that decision
+    """
+    figure, axes = _two_columns(len(traces), 1.6)
+    road_end_m = 1.1 * max(np.abs(trace.position_m[0, episode, :, 0]).max() for trace in traces)
+    duration_s = max(trace.n_steps[episode] * trace.dt_s for trace in traces)
+    for axis, trace in zip(axes, traces, strict=True):
+        axis.axhspan(*corridor_x_m, color=CORRIDOR, zorder=0)
+        _space_time_lines(axis, trace, episode)
+        outcome = OUTCOMES[trace.outcome[episode]]
+        axis.set_title(f"{planner_label(trace.planner)}: {outcome}")
+        axis.set(xlim=(0, 1.03 * duration_s), ylim=(-road_end_m, road_end_m))
+    for axis in axes[::2]:
+        axis.set_ylabel("road x [m]")
+    figure.supxlabel("time [s]", fontsize=STYLE["axes.labelsize"])
+    chosen = np.concatenate([trace.horizon_s[: trace.n_steps[episode], episode, EGO] for trace in traces])
+    social = Line2D([], [], color=INK, linestyle="--", label="social vehicle")
+    corridor = Patch(color=CORRIDOR, label="corridor")
+    _horizon_legend(figure, np.unique(chosen[np.isfinite(chosen)]), [social, corridor], n_columns=3)
+    return figure
+
+
+def _space_time_lines(axis: Axes, trace: Trace, episode: int) -> None:
+    end = trace.n_steps[episode]
+    time_s = np.arange(end + 1) * trace.dt_s
+    x = trace.position_m[: end + 1, episode, :, 0]
+    horizon = trace.horizon_s[:end, episode, EGO]
+    points = np.stack([time_s, x[:, EGO]], -1)
+    colors = [horizon_color(h) if np.isfinite(h) else QUIET for h in horizon]
+    segments = list(np.stack([points[:-1], points[1:]], 1))
+    axis.add_collection(LineCollection(segments, colors=colors, linewidths=2.4, capstyle="round"))
+    axis.plot(time_s, x[:, EGO + 1 :], color=INK, linestyle="--", linewidth=1.1)
+    if OUTCOMES[trace.outcome[episode]] == "collision":
+        axis.plot(time_s[-1], x[-1, EGO], "X", color=OUTCOME_COLORS["collision"], markersize=9, zorder=4)
+
+
+TRAINING_PANELS = {
+    "episodes [%]": ("success_rate", "collision_rate", "timeout_rate"),
+    "return [reward]": ("return_mean",),
+    "policy entropy [nat]": ("entropy",),
+    "KL of an update [nat]": ("kl",),
+    "value loss [1]": ("value_loss",),
+    "speed [decisions/s]": ("decisions_per_s",),
+}
+"""Axis label -> columns of the training history; a column that the history lacks is not drawn."""
+
+
+@styled
+def training(history: pd.DataFrame) -> Figure:
+    """Learning curves over decisions: logged values and their running mean; a dashed line begins a stage."""
+    panels = {label: [name for name in names if name in history] for label, names in TRAINING_PANELS.items()}
+    panels = {label: names for label, names in panels.items() if names}
+    unit, unit_name = (1e6, "million") if history["decisions"].max() >= 1e6 else (1e3, "thousand")
+    decisions = history["decisions"].to_numpy() / unit
+    figure, axes = _two_columns(len(panels), 1.55)
+    for axis, (label, names) in zip(axes, panels.items(), strict=True):
+        for name in names:
+            _learning_curve(axis, decisions, history[name] * (100 if name.endswith("_rate") else 1))
+        if len(names) > 1:
+            axis.legend(loc="center right", handlelength=1.0, fontsize=8)
+        axis.set_title(label, fontweight="normal")
+        axis.grid(axis="y")
+        _stage_lines(axis, history["stage"].to_numpy(), decisions)
+    figure.supxlabel(f"decisions [{unit_name}]", fontsize=STYLE["axes.labelsize"])
+    return figure
+
+
+def _learning_curve(axis: Axes, decisions: np.ndarray, values: pd.Series) -> None:
+    name = str(values.name).removesuffix("_rate")
+    color = {"collision": OUTCOME_COLORS["collision"], "timeout": QUIET}.get(name, ADAPTIVE_COLOR)
+    smooth = values.rolling(max(len(values) // 30, 1), min_periods=1, center=True).mean()
+    axis.plot(decisions, values, color=color, alpha=0.35, linewidth=0.7)
+    axis.plot(decisions, smooth, color=color, linewidth=1.8, label=name)
+
+
+def _two_columns(n_panels: int, row_height_in: float) -> tuple[Figure, list[Axes]]:
+    """A figure of n_panels axes in two columns; a spare one is removed."""
+    n_rows = math.ceil(n_panels / 2)
+    figure = Figure((WIDTH_IN, 0.4 + row_height_in * n_rows), layout="constrained")
+    axes = list(figure.subplots(n_rows, 2, squeeze=False).flat)
+    for axis in axes[n_panels:]:
+        axis.remove()
+    return figure, axes[:n_panels]
+
+
+def _stage_lines(axis: Axes, stage: np.ndarray, decisions: np.ndarray) -> None:
+    for row in np.flatnonzero(stage[1:] != stage[:-1]) + 1:
+        axis.axvline(decisions[row], color=QUIET, linestyle="--", linewidth=0.8)
+
+
+@styled
+def render(figure: Figure, format_: str) -> bytes:
+    """The figure as svg, pdf or png (200 dpi); the same bytes for the same data."""
+    buffer = BytesIO()
+    timestamp = {"svg": "Date", "pdf": "CreationDate"}.get(format_)
+    figure.savefig(buffer, format=format_, metadata={timestamp: None} if timestamp else None)
+    return buffer.getvalue()
+
+
+def _names(table: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """Settings and planners in the order in which the table brings them."""
+    return list(table["setting"].unique()), list(table["planner"].unique())
+
+
+def _families(traces: Sequence[Trace]) -> list[str]:
+    return list(dict.fromkeys(trace.family for trace in traces))
+
+
+def _planner_legend(figure: Figure, planners: list[str]) -> None:
+    handles = [
+        Line2D([], [], color=color, linewidth=2.2 if name == ADAPTIVE else 1.2, label=planner_label(name))
+        for name, color in planner_colors(planners).items()
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+
+
+def _horizon_legend(
+    figure: Figure, levels: np.ndarray, others: Sequence[Line2D | Patch] = (), n_columns: int = 4
+) -> None:
+    handles = [Patch(color=horizon_color(level), label=f"horizon {level:g} s") for level in levels]
+    figure.legend(handles=[*handles, *others], loc="outside upper center", ncols=n_columns, handlelength=1.2)

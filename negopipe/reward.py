@@ -1,0 +1,27 @@
+"""The reward (Eq. 3)."""
+
+import torch
+from torch import Tensor
+
+from negopipe.schema import schema
+
+
+@schema
+class RewardConfig:
+    """Reward per event; `conf/reward/` has both of the paper's readings.
+
+    step: every decision, the last one too (Reading: -0.25 per step)
+    collision: once, when a collision ends the episode
+    success: once, when all vehicles have reached their targets
+    """
+
+    step: float
+    collision: float
+    success: float
+
+
+def reward(config: RewardConfig, is_collision: Tensor, is_success: Tensor) -> Tensor:
+    """[E] float32, the reward of one decision; `is_collision` and `is_success` [E] bool."""
+    value = torch.full_like(is_collision, config.step, dtype=torch.float32)
+    value = value + config.collision * is_collision
+    return value + config.success * is_success

@@ -1,0 +1,59 @@
+"""Formulas of plane geometry on batched tensors: angles, oriented boxes."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Boxes(NamedTuple):
+    """Oriented rectangles; every field broadcasts against the others.
+
+    x, y: [...] float32, m, centre
+    cos, sin: [...] float32, of the heading
+    half_length, half_width: [...] float32 or float, m
+    """
+
+    x: Tensor
+    y: Tensor
+    cos: Tensor
+    sin: Tensor
+    half_length: Tensor | float
+    half_width: Tensor | float
+
+
+def boxes_from_pose(x: Tensor, y: Tensor, yaw: Tensor, length: float, width: float) -> Boxes:
+    """Boxes of one size at poses [...] (m, m, rad)."""
+    return Boxes(x, y, torch.cos(yaw), torch.sin(yaw), length / 2, width / 2)
+
+
+def overlap_depth(a: Boxes, b: Boxes) -> Tensor:
+    """How far oriented rectangles reach into each other, [...] m: positive where they overlap.
+
+    The separating-axis theorem: along each side of the two rectangles the sum of both half extents is compared
+    with the centres' distance; the smallest surplus counts. (A number instead of a yes or no, because maxima over
+    numbers run on vector units and reductions over booleans do not.)
+    """
+    dx, dy = b.x - a.x, b.y - a.y
+    cos = (a.cos * b.cos + a.sin * b.sin).abs()  # of the relative heading
+    sin = (a.cos * b.sin - a.sin * b.cos).abs()
+    along_a = a.half_length + b.half_length * cos + b.half_width * sin - (dx * a.cos + dy * a.sin).abs()
+    across_a = a.half_width + b.half_length * sin + b.half_width * cos - (dy * a.cos - dx * a.sin).abs()
+    along_b = b.half_length + a.half_length * cos + a.half_width * sin - (dx * b.cos + dy * b.sin).abs()
+    across_b = b.half_width + a.half_length * sin + a.half_width * cos - (dy * b.cos - dx * b.sin).abs()
+    return torch.minimum(torch.minimum(along_a, across_a), torch.minimum(along_b, across_b))
+
+
+def wrap_angle(angle: Tensor) -> Tensor:
+    """The same angle in [-pi, pi), rad."""
+    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+
+
+def smoothstep(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The jerk-optimal step 10x^3 - 15x^4 + 6x^5 from 0 to 1 on [0, 1], constant outside, with two derivatives."""
+    x = x.clamp(0, 1)
+    value = x * x * x * (10 + x * (6 * x - 15))
+    slope = 30 * x * x * (1 - x) * (1 - x)
+    bend = 60 * x * (1 - x) * (1 - 2 * x)
+    return value, slope, bend

@@ -1,0 +1,109 @@
+"""Batched worlds: reset, step, masked reset. State goes in, state comes out; nothing is hidden.
+
+The simulator moves vehicles and tells what happened; who drives them (`negopipe.driver`) and what the ego is paid
+(`negopipe.reward`) is not its business.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
+from negopipe.simulation.perception import other_columns
+from negopipe.simulation.road import Road, RouteState
+from negopipe.simulation.scenario import ScenarioConfig
+from negopipe.simulation.state import Task, VehicleState, World, where_world
+
+
+@dataclass(frozen=True)
+class Events:
+    """What a step led to, per world.
+
+    is_success: [E] bool, every vehicle has reached its target and none has collided
+    is_collision: [E] bool, footprints overlap, or one left the road or hit a parked car
+    is_terminated: [E] bool, success or collision
+    is_truncated: [E] bool, the time limit ended an episode that was not terminated
+    """
+
+    is_success: Tensor
+    is_collision: Tensor
+    is_terminated: Tensor
+    is_truncated: Tensor
+
+
+class Simulator:
+    """The world's rules for one scenario.
+
+    history_steps: how many past poses a world remembers beside the present one
+    """
+
+    def __init__(self, scenario: ScenarioConfig, history_steps: int, device: torch.device | str = "cpu") -> None:
+        self.scenario = scenario
+        self.history_steps = history_steps
+        self.road = Road(scenario.road, device)
+        self._others = other_columns(1 + scenario.n_social, device)
+
+    def reset(self, task: Task) -> World:
+        """Worlds [E] at the start of their tasks: own lane, along the road, at start speed."""
+        s = -task.start_distance
+        zero = torch.zeros_like(s)
+        d, d_prime, d_pprime = self.road.route_offset(s)
+        stretch = torch.sqrt(1 + d_prime**2)
+        start = RouteState(s, task.start_speed / stretch, zero, d, d_prime, d_pprime)
+        vehicles = replace(self.road.to_world(start, task.direction), accel=zero)
+        no = torch.zeros_like(s, dtype=torch.bool)
+        pose = _pose(vehicles)
+        history = pose[:, None].expand(-1, 1 + self.history_steps, -1, -1).contiguous()
+        return World(vehicles, task, torch.zeros_like(task.family), no, no, history)
+
+    def step(self, world: World, motion: VehicleState) -> tuple[World, Events]:
+        """Move every vehicle to `motion` [E, V], its state one `dt_s` later."""
+        s = self.road.progress(motion.position, world.task.direction)
+        has_reached = world.has_reached | (s >= self.road.target_s_m)
+        moved = World(
+            vehicles=motion,
+            task=world.task,
+            step=world.step + 1,
+            has_reached=has_reached,
+            has_collided=world.has_collided | self.collides(motion),
+            pose_history=torch.cat([_pose(motion)[:, None], world.pose_history[:, :-1]], dim=1),
+        )
+        return moved, self._events(moved)
+
+    def reset_where(self, mask: Tensor, world: World, task: Task) -> World:
+        """Start `task` anew in the worlds of `mask` [E]; the others go on."""
+        return where_world(mask, self.reset(task), world)
+
+    def collides(self, vehicles: VehicleState) -> Tensor:
+        """[E, V] bool: the true oriented footprint touches another vehicle, a parked car or the kerb."""
+        size = self.scenario.vehicle
+        x, y = vehicles.position.unbind(-1)
+        boxes = boxes_from_pose(x, y, vehicles.yaw, size.length_m, size.width_m)
+
+        def column(field: Tensor) -> Tensor:
+            return field[..., None]
+
+        own = boxes._replace(x=column(x), y=column(y), cos=column(boxes.cos), sin=column(boxes.sin))
+        others = own._replace(
+            x=x[:, self._others],
+            y=y[:, self._others],
+            cos=boxes.cos[:, self._others],
+            sin=boxes.sin[:, self._others],
+        )
+        reach = size.length_m / 2 * boxes.sin.abs() + size.width_m / 2 * boxes.cos.abs()
+        right, left = self.road.kerb_y_m
+        is_off_road = (y - reach < right) | (y + reach > left)
+        hits_parked = (overlap_depth(own, self.road.parked_boxes()) > 0).any(-1)
+        return (overlap_depth(own, others) > 0).any(-1) | hits_parked | is_off_road
+
+    def _events(self, world: World) -> Events:
+        is_collision = world.has_collided.any(-1)
+        is_success = world.has_reached.all(-1) & ~is_collision
+        is_terminated = is_collision | is_success
+        is_over = world.step >= self.scenario.episode_steps
+        return Events(is_success, is_collision, is_terminated, is_over & ~is_terminated)
+
+
+def _pose(vehicles: VehicleState) -> Tensor:
+    return torch.cat([vehicles.position, vehicles.yaw[..., None]], dim=-1)

@@ -1,0 +1,119 @@
+"""Tensor dataclasses that hold the world, and the axes, declared once.
+
+Axes: E worlds, V vehicles (column 0 is the ego, the others are social), T time, P parked cars,
+H/W rows and columns of the grid, C candidates of the planner.
+
+Frames
+    world   right-handed, metres; the road's reference line is its x axis and x = 0 is the corridor's middle.
+    route   per vehicle: `s` along its own driving direction with s = 0 at the mouth of the corridor that the
+            vehicle meets first, `d` to its own left; the corridor spans 0 <= s <= corridor length.
+    body    x ahead, y to the left, origin at the centre of the footprint.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+EGO = 0
+"""Column of the ego on every vehicle axis."""
+
+
+@dataclass(frozen=True)
+class VehicleState:
+    """Motion of vehicles at one instant; every field has the same leading axes, usually [E, V].
+
+    position: [..., 2] float32, m, world (centre of the footprint)
+    yaw: [...] float32, rad, world
+    speed: [...] float32, m/s, never negative (no vehicle drives backwards)
+    accel: [...] float32, m/s2, along the path
+    curvature: [...] float32, 1/m, of the path driven, positive to the left
+    """
+
+    position: Tensor
+    yaw: Tensor
+    speed: Tensor
+    accel: Tensor
+    curvature: Tensor
+
+
+@dataclass(frozen=True)
+class Task:
+    """What an episode starts from; drawn by `scenario.TaskSampler`.
+
+    start_distance: [E, V] float32, m, from the vehicle's centre to the mouth that it meets first
+    start_speed, desired_speed: [E, V] float32, m/s
+    style_horizon: [E, V] float32, s, prediction horizon of the social vehicles; NaN for the ego, who chooses
+    direction: [E, V] float32, +1 drives towards +x, -1 towards -x
+    family: [E] int64, index of the task family (push, yield, ...) in `scenario.family_names`
+    """
+
+    start_distance: Tensor
+    start_speed: Tensor
+    desired_speed: Tensor
+    style_horizon: Tensor
+    direction: Tensor
+    family: Tensor
+
+    def __len__(self) -> int:
+        return self.family.shape[0]
+
+
+@dataclass(frozen=True)
+class World:
+    """Everything the simulator needs to go on; a step maps one to the next.
+
+    vehicles: VehicleState [E, V]
+    task: Task
+    step: [E] int64, decisions taken in this episode
+    has_reached: [E, V] bool, the vehicle has passed its target in this episode
+    has_collided: [E, V] bool, the vehicle touched another vehicle, a parked car or the kerb
+    pose_history: [E, K, V, 3] float32, x (m), y (m), yaw (rad) in the world frame; index 0 is now, index k is
+        k steps ago. Before the episode's start the first state is repeated.
+    """
+
+    vehicles: VehicleState
+    task: Task
+    step: Tensor
+    has_reached: Tensor
+    has_collided: Tensor
+    pose_history: Tensor
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a driver makes its vehicle do until the next decision; E worlds, S seats.
+
+    state: VehicleState [E, S], one control step later
+    horizon: [E, S] float32, s, prediction horizon that was used; NaN for a driver that does not use one
+    is_full_braking: [E, S] bool, no feasible plan existed
+    """
+
+    state: VehicleState
+    horizon: Tensor
+    is_full_braking: Tensor
+
+
+T = TypeVar("T")
+
+
+def map_tensors(fn: Callable[..., Tensor], *trees: T) -> T:
+    """Apply `fn` to the corresponding tensors of equal (nested) tensor dataclasses."""
+    first = trees[0]
+    values: dict[str, Any] = {}
+    for field in fields(first):  # type: ignore[arg-type]
+        children = [getattr(tree, field.name) for tree in trees]
+        is_leaf = isinstance(children[0], Tensor)
+        values[field.name] = fn(*children) if is_leaf else map_tensors(fn, *children)
+    return type(first)(**values)
+
+
+def where_world(mask: Tensor, chosen: T, other: T) -> T:
+    """Per world: `chosen` where `mask` [E] is true, else `other` (the masked reset)."""
+
+    def pick(a: Tensor, b: Tensor) -> Tensor:
+        return torch.where(mask.reshape(-1, *[1] * (a.dim() - 1)), a, b)
+
+    return map_tensors(pick, chosen, other)

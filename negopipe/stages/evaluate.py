@@ -1,0 +1,103 @@
+"""The evaluate stage: the policy and the fixed horizons on the same held-out tasks."""
+
+import logging
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from negopipe.env import Game
+from negopipe.errors import UserError
+from negopipe.evaluation import metrics
+from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.planners import ADAPTIVE, adaptive_planner, fixed_planners
+from negopipe.evaluation.trace import save_traces
+from negopipe.seeding import generator
+from negopipe.simulation.scenario import TaskSampler
+from negopipe.simulation.state import Task
+from negopipe.stages.progress import ProgressLine
+from negopipe.stages.setup import build, device_of, load_policy
+from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from negopipe.config import RunConfig
+    from negopipe.tracking.store import TrackedRun
+
+log = logging.getLogger("negopipe")
+
+
+def run(config: "RunConfig", run: "TrackedRun") -> None:
+    """Drive every planner through every setting; writes episodes.csv, traces.npz and metrics.json."""
+    checkpoint = _checkpoint(config, run)
+    game, policy = build(config)
+    load_policy(checkpoint, policy, config)
+    device = device_of(config)
+    is_drawn = config.evaluation.action == "sample"
+    sampling = generator(config.seed, "evaluation actions", device) if is_drawn else None
+    planners = {ADAPTIVE: adaptive_planner(policy, game, config.policy.horizons_s, sampling)}
+    planners |= fixed_planners(config.evaluation.fixed_horizons_s)
+    traces = []
+    with ProgressLine("evaluate", len(planners) * len(config.evaluation.settings)) as progress:
+        for setting in config.evaluation.settings:
+            tasks = held_out_tasks(config, game, setting)
+            for name, choose in planners.items():
+                n_worlds, paid = config.algorithm.n_worlds, config.evaluation.reward
+                traces.append(drive_episodes(game, choose, tasks, n_worlds, paid, (name, setting)))
+                progress.advance(f"{setting}, {name}")
+    table = pd.concat(
+        [metrics.episodes(trace, config.scenario.road.corridor_length_m) for trace in traces],
+        ignore_index=True,
+    )
+    table.to_csv(run.folder / "episodes.csv", index=False)
+    save_traces(run.folder / "traces.npz", traces)
+    summary = metrics.summary(table)
+    run.update_metrics_json(summary)
+    run.log_artifact(run.folder / "episodes.csv")
+    run.log_metrics(_scalars(summary), step=0)
+    _say(summary)
+
+
+def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
+    """The setting's tasks, the same for every planner and training seed; training draws from other streams."""
+    stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
+    # paired first, so that `pairing` sees both families
+    sampler = TaskSampler(config.scenario, config.scenario.families, stream)
+    only = {setting: sampler.families[setting]}
+    sampler.families = only
+    return sampler.draw(config.evaluation.n_episodes)
+
+
+def _checkpoint(config: "RunConfig", run: "TrackedRun") -> "Path":
+    """What this run trained, or else what `checkpoint` names."""
+    own = run.folder / CHECKPOINT_NAME
+    if own.is_file() and (config.checkpoint is None or "train" in config.stages):
+        return own
+    if config.checkpoint is None:
+        raise UserError(
+            "checkpoint must be a file or an MLflow run id where stages leaves out train and the run folder "
+            f"has no {CHECKPOINT_NAME}, got null"
+        )
+    return find_checkpoint(config.checkpoint, config)
+
+
+def _scalars(summary: dict) -> dict[str, float]:
+    return {
+        f"evaluation/{setting}/{planner}/{measure}": float(value)
+        for setting, planners in summary["evaluation"].items()
+        for planner, measures in planners.items()
+        for measure, value in measures.items()
+        if value is not None
+    }
+
+
+def _say(summary: dict) -> None:
+    """The result as a table on the terminal."""
+    for setting, planners in summary["evaluation"].items():
+        log.info(f"{setting:10} {'success':>8} {'collision':>10} {'timeout':>8} {'time':>8} {'reward':>8}")
+        for planner, m in planners.items():
+            time = "-" if m["driving_time_s"] is None else f"{m['driving_time_s']:.1f} s"
+            log.info(
+                f"  {planner:8} {m['success_rate']:8.1%} {m['collision_rate']:10.1%} {m['timeout_rate']:8.1%} "
+                f"{time:>8} {m['reward']:8.2f}"
+            )

@@ -1,0 +1,53 @@
+"""Progress of long work: a live bar on a terminal, a line now and then elsewhere."""
+
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+LINE_INTERVAL_S = 20.0
+
+
+class ProgressLine:
+    """Context manager; `advance` after each step of `n_total`.
+
+    On a terminal a bar with the latest text and the time left; in a log file one such line every 20 s.
+    """
+
+    def __init__(self, title: str, n_total: int) -> None:
+        self.title, self.n_total, self.n_done = title, n_total, 0
+        console = Console()
+        self._is_live = console.is_terminal
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[text]}"),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not self._is_live,
+        )
+        self._task = self._bar.add_task(title, total=n_total, text="")
+        self._started_s = self._said_s = time.monotonic()
+
+    def advance(self, text: str, n: int = 1) -> None:
+        """`n` more steps are done; `text` says how it goes."""
+        self.n_done += n
+        self._bar.update(self._task, advance=n, text=text)
+        now_s = time.monotonic()
+        is_due = now_s - self._said_s >= LINE_INTERVAL_S or self.n_done >= self.n_total
+        if not self._is_live and is_due:
+            self._said_s = now_s
+            left_s = (now_s - self._started_s) * (self.n_total / self.n_done - 1)
+            print(f"{self.title} {self.n_done / self.n_total:4.0%}  {text}  left {left_s:.0f} s", flush=True)
+
+    def __enter__(self) -> "ProgressLine":
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()

@@ -1,0 +1,264 @@
+"""The report stage: from the files of an evaluated run to figures, animations and report.html."""
+
+import json
+import logging
+import platform
+import shlex
+import shutil
+import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import torch
+from matplotlib.figure import Figure
+
+from negopipe.errors import UserError
+from negopipe.evaluation.metrics import NEAREST
+from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
+from negopipe.report import animation, figures
+from negopipe.report.animation import Scene
+from negopipe.report.captions import NOT_TRAINED, WATCH, caption
+from negopipe.report.figures import planner_label
+from negopipe.report.page import (
+    Exhibit,
+    Provenance,
+    ReportConfig,
+    Section,
+    build_page,
+    headline,
+    settings_in_order,
+)
+from negopipe.simulation.road import Road
+from negopipe.simulation.scenario import ScenarioConfig
+
+if TYPE_CHECKING:
+    from negopipe.config import RunConfig
+    from negopipe.tracking.store import TrackedRun
+
+log = logging.getLogger("negopipe")
+
+PACKAGES = ("negopipe", "torch", "numpy", "pandas", "matplotlib", "hydra-core", "mlflow")
+"""Whose versions the page names."""
+
+
+class _Gallery:
+    """Saves what is drawn into the run folder and hands it on as an exhibit of the page."""
+
+    def __init__(self, folder: Path, formats: Sequence[str] = ()) -> None:
+        self.folder, self.formats = folder, formats
+        shutil.rmtree(folder, ignore_errors=True)  # what an earlier report left there with other options
+        folder.mkdir()
+
+    def figure(self, name: str, figure: Figure, title: str, reading: str) -> Exhibit:
+        svg = figures.render(figure, "svg")
+        for format_ in self.formats:
+            data = svg if format_ == "svg" else figures.render(figure, format_)
+            (self.folder / f"{name}.{format_}").write_bytes(data)
+        return Exhibit(title, reading, svg)
+
+    def animation(self, name: str, gif: bytes, still: bytes, title: str, reading: str) -> Exhibit:
+        (self.folder / f"{name}.gif").write_bytes(gif)
+        (self.folder / f"{name}.png").write_bytes(still)
+        return Exhibit(title, reading, gif, still)
+
+
+def run(config: "RunConfig", run: "TrackedRun") -> None:
+    """Write figures/, animations/ and report.html into the run folder and log them as artifacts.
+
+    Raises UserError if a file that an earlier stage writes is missing, or if the planners that are shown side
+    by side were not evaluated on the same tasks.
+    """
+    measures = _read_evaluation(run.folder)
+    settings = settings_in_order(measures, config.evaluation.leading_setting)
+    shown = [ADAPTIVE, *config.report.side_by_side]
+    traces = _by_setting(load_traces(run.folder / "traces.npz"), settings, shown)
+    table = _in_order(_read_csv(run.folder / "episodes.csv", "evaluate"), settings)
+    evaluation = {
+        setting: {t.planner: measures[setting][t.planner] for t in traces[setting]} for setting in settings
+    }
+    drawings = _Gallery(run.folder / "figures", config.report.figure_formats)
+    films = _Gallery(run.folder / "animations")
+    road = Road(config.scenario.road)
+    log.info("report: figures")
+    sections = [
+        _planners(drawings, table),
+        _negotiations(drawings, traces, road.corridor_x_m),
+        _animations(config.report, films, traces, make_scene(config.scenario, road)),
+        _behaviour(drawings, traces),
+        _training(drawings, run.folder / "history.csv"),
+    ]
+    page = build_page(config.name, settings[0], evaluation, sections, _provenance(config.seed, run.folder))
+    (run.folder / "report.html").write_text(page, encoding="utf-8")
+    for gallery in (drawings, films):
+        if any(gallery.folder.iterdir()):
+            run.log_artifact(gallery.folder, gallery.folder.name)
+    run.log_artifact(run.folder / "report.html")
+    run.set_description("\n\n".join(" ".join(headline(setting, evaluation[setting])) for setting in settings))
+    log.info("report: %s", run.folder / "report.html")
+
+
+def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
+    """The road as plain arrays for drawing."""
+    s = torch.linspace(-60.0, 60.0 + scenario.road.corridor_length_m, 481)
+    x = s - scenario.road.corridor_length_m / 2
+    return Scene(
+        parked_cars=road.parked_cars.cpu().numpy(),
+        kerb_y_m=road.kerb_y_m,
+        corridor_x_m=road.corridor_x_m,
+        route_m=torch.stack([x, road.route_offset(s)[0]], -1).numpy(),
+        vehicle_length_m=scenario.vehicle.length_m,
+        vehicle_width_m=scenario.vehicle.width_m,
+    )
+
+
+def _planners(gallery: _Gallery, table: pd.DataFrame) -> Section:
+    """Two settings share a figure at most: three would be too small to read on a phone."""
+    settings = list(table["setting"].unique())
+    exhibits = []
+    for pair in (settings[i : i + 2] for i in range(0, len(settings), 2)):
+        title, reading = caption("comparison", settings=" and ".join(pair))
+        drawing = figures.comparison(table[table["setting"].isin(pair)])
+        exhibits.append(gallery.figure(f"comparison_{'_'.join(pair)}", drawing, title, reading))
+    exhibits.append(gallery.figure("outcomes", figures.outcomes(table), *caption("outcomes")))
+    has_styles = table.groupby("setting")["style_horizon_s"].transform("nunique") > 1
+    if has_styles.any():
+        drawing = figures.success_by_style(table[has_styles])
+        exhibits.append(gallery.figure("success_by_style", drawing, *caption("success_by_style")))
+    return Section("Planners compared", "", exhibits)
+
+
+def _negotiations(
+    gallery: _Gallery, traces: dict[str, list[Trace]], corridor_x_m: tuple[float, float]
+) -> Section:
+    exhibits = []
+    for setting, group in traces.items():
+        episode = animation.choose_episodes(_adaptive(group), 1)[0]
+        drawing = figures.space_time(group, episode, corridor_x_m)
+        title, reading = caption("space_time", setting=setting.capitalize())
+        exhibits.append(gallery.figure(f"space_time_{setting}", drawing, title, reading))
+    return Section("Negotiations", "", exhibits)
+
+
+def _animations(
+    report: ReportConfig, gallery: _Gallery, traces: dict[str, list[Trace]], scene: Scene
+) -> Section:
+    exhibits = []
+    for setting, group in traces.items():
+        adaptive = _adaptive(group)
+        films = {
+            f"{setting}_{ADAPTIVE}_{rank}": (episode, [adaptive])
+            for rank, episode in enumerate(animation.choose_episodes(adaptive, report.n_animations), start=1)
+        }
+        if report.side_by_side:
+            median = animation.choose_episodes(adaptive, 1)[0]
+            compared = [adaptive, *_named(group, report.side_by_side)]
+            films = {f"{setting}_side_by_side": (median, compared)} | films
+        for name, (episode, shown) in films.items():
+            log.info("report: animation %s", name)
+            exhibits.append(_film(gallery, name, shown, episode, scene, report.animation_fps))
+    return Section("Watch it", WATCH, exhibits)
+
+
+def _film(gallery: _Gallery, name: str, traces: list[Trace], episode: int, scene: Scene, fps: int) -> Exhibit:
+    trace = traces[0]
+    gif = animation.animate(traces, episode, scene, fps)
+    still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3)
+    title, reading = caption(
+        "film",
+        setting=trace.family.capitalize(),
+        episode=episode,
+        planners=", ".join(planner_label(shown.planner) for shown in traces),
+        style_s=trace.style_horizon_s[episode, NEAREST],
+    )
+    return gallery.animation(name, gif, still, title, reading)
+
+
+def _behaviour(gallery: _Gallery, traces: dict[str, list[Trace]]) -> Section:
+    flat = [trace for group in traces.values() for trace in group]
+    psi = gallery.figure("behaviour_index", figures.behaviour(flat), *caption("behaviour_index"))
+    chosen = gallery.figure("horizons", figures.horizons(flat), *caption("horizons"))
+    return Section("Behaviour", "", [psi, chosen])
+
+
+def _training(gallery: _Gallery, history: Path) -> Section:
+    if not history.is_file():
+        return Section("Training", NOT_TRAINED, [])
+    table = _read_csv(history, "train")
+    title, reading = caption("training", stages=", ".join(table["stage"].unique()))
+    return Section("Training", "", [gallery.figure("training", figures.training(table), title, reading)])
+
+
+def _read_evaluation(folder: Path) -> dict[str, Any]:
+    """setting -> planner -> measures, from metrics.json."""
+    path = folder / "metrics.json"
+    metrics = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    if "evaluation" not in metrics:
+        raise UserError(f"{path}: no results of an evaluation; run the stage `evaluate` first")
+    return metrics["evaluation"]
+
+
+def _read_csv(path: Path, stage: str) -> pd.DataFrame:
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; run the stage `{stage}` first")
+    return pd.read_csv(path)
+
+
+def _in_order(table: pd.DataFrame, settings: list[str]) -> pd.DataFrame:
+    """The rows of the leading setting first, planners as they come."""
+    return pd.concat([table[table["setting"] == setting] for setting in settings], ignore_index=True)
+
+
+def _by_setting(traces: list[Trace], settings: list[str], planners: Sequence[str]) -> dict[str, list[Trace]]:
+    """Traces of each setting; `planners` must be among them."""
+    grouped = {setting: [trace for trace in traces if trace.family == setting] for setting in settings}
+    for group in grouped.values():
+        _named(group, planners)
+        _check_same_tasks(group)
+    return grouped
+
+
+def _check_same_tasks(group: list[Trace]) -> None:
+    """One episode number must be one task for all planners: they are shown side by side."""
+    first = group[0]
+    for trace in group[1:]:
+        is_same = np.array_equal(trace.start_distance_m, first.start_distance_m) and np.array_equal(
+            trace.style_horizon_s, first.style_horizon_s, equal_nan=True
+        )
+        if not is_same:
+            planners = f"{first.planner} and {trace.planner}"
+            raise UserError(
+                f"traces.npz: {planners} drove different tasks in {first.family}; evaluate them anew"
+            )
+
+
+def _adaptive(group: list[Trace]) -> Trace:
+    return _named(group, [ADAPTIVE])[0]
+
+
+def _named(group: list[Trace], planners: Sequence[str]) -> list[Trace]:
+    by_name = {trace.planner: trace for trace in group}
+    for planner in planners:
+        if planner not in by_name:
+            known = ", ".join(by_name) or "none"
+            raise UserError(f"the report shows planner {planner}, but traces.npz holds only: {known}")
+    return [by_name[planner] for planner in planners]
+
+
+def _provenance(seed: int, folder: Path) -> Provenance:
+    config_path = folder / "config.yaml"
+    if not config_path.is_file():
+        raise UserError(f"{config_path}: no such file; every run writes it when it starts")
+    command = shlex.join(["python", "-m", "negopipe", *sys.argv[1:]])
+    versions = {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
+    return Provenance(command, seed, config_path.read_text(encoding="utf-8"), versions)
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed as a package"

@@ -1,0 +1,75 @@
+"""What the stages build from the config: the game, the policy, the device."""
+
+import logging
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from negopipe.env import Game, build_game, wants_compile
+from negopipe.errors import UserError
+from negopipe.policy.actor_critic import ActorCritic, grid_actor_critic
+from negopipe.seeding import generator
+from negopipe.tracking.checkpoint import load_checkpoint, save_checkpoint
+
+if TYPE_CHECKING:
+    from negopipe.config import RunConfig
+
+log = logging.getLogger("negopipe")
+
+
+def device_of(config: "RunConfig") -> torch.device:
+    """The device of simulator and network."""
+    if config.device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return torch.device(config.device)
+
+
+def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
+    """The game and a freshly initialised policy."""
+    device = device_of(config)
+    is_compiled = wants_compile(config.compile)
+    game = build_game(config.scenario, config.planner, config.observation, device, is_compiled)
+    policy = grid_actor_critic(
+        config.policy, game.observation_shape, device, generator(config.seed, "initial weights")
+    )
+    how = "compiled (the first step takes up to a minute)" if is_compiled else "not compiled"
+    log.info(
+        f"device     {device.type}, {config.n_threads} threads, network in {policy.dtype}, simulator {how}, "
+        f"{game.planner.n_combinations} trajectories per plan"
+    )
+    return game, policy
+
+
+def save_policy(path: Path, policy: ActorCritic, config: "RunConfig", n_decisions: int) -> None:
+    """A checkpoint with all that is needed to know and rebuild the policy."""
+    metadata = {
+        "policy": asdict(config.policy),
+        "observation": asdict(config.observation),
+        "experiment": config.name,
+        "seed": config.seed,
+        "decisions": n_decisions,
+    }
+    save_checkpoint(path, policy.state_dict(), metadata)
+
+
+def load_policy(path: Path, policy: ActorCritic, config: "RunConfig") -> None:
+    """Put a checkpoint's weights into `policy`; UserError if it was made for another network or other grids."""
+    tensors, metadata = load_checkpoint(path)
+    for part in ("policy", "observation"):
+        made_with, wanted = metadata.get(part, {}), _plain(asdict(getattr(config, part)))
+        differing = [key for key in wanted if made_with.get(key) != wanted[key] and key != "precision"]
+        if differing:
+            key = differing[0]
+            raise UserError(
+                f"{part}.{key} must be {made_with.get(key)} as in the checkpoint {path}, got {wanted[key]}"
+            )
+    policy.load_state_dict(tensors)
+
+
+def _plain(value: Any) -> Any:
+    """As JSON gives it back: tuples become lists."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, tuple | list) else value

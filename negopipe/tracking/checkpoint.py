@@ -1,0 +1,86 @@
+"""Checkpoints: tensors and JSON in one safetensors file, so that loading one runs no code."""
+
+import json
+import os
+import re
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from negopipe.errors import UserError
+from negopipe.tracking.store import StoreConfig, find_store
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+CHECKPOINT_NAME = "checkpoint.safetensors"
+"""File name of the checkpoint in a run folder."""
+
+_METADATA_KEY = "negopipe"
+_RUN_ID = re.compile(r"[0-9a-f]{32}")
+
+
+def save_checkpoint(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
+    """Write a checkpoint whole or not at all: a killed process leaves the file that was there before.
+
+    tensors: any shape, dtype and device; stored on the CPU
+    metadata: what JSON can say (counters, the config, names)
+    """
+    on_cpu = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}
+    content = save(on_cpu, {_METADATA_KEY: json.dumps(metadata, sort_keys=True)})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        try:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+            os.replace(file.name, path)
+        except BaseException:
+            Path(file.name).unlink(missing_ok=True)
+            raise
+
+
+def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors (on the CPU) and metadata; UserError if the file is missing, cut short or not of negopipe."""
+    if not path.is_file():
+        raise UserError(f"checkpoint must be a file, got {path}: no such file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            stored = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+    except SafetensorError as error:
+        raise UserError(f"checkpoint must be a whole safetensors file, got {path}: {error}") from error
+    if _METADATA_KEY not in stored:
+        raise UserError(f"checkpoint must be a file that negopipe wrote, got {path}: it has no such metadata")
+    return tensors, json.loads(stored[_METADATA_KEY])
+
+
+def find_checkpoint(reference: str, config: StoreConfig) -> Path:
+    """The file that `checkpoint` means: a path, or the id of an MLflow run, of which it is the newest one."""
+    path = Path(reference).expanduser()
+    if path.is_file():
+        return path
+    client = find_store(config) if _RUN_ID.fullmatch(reference) else None
+    newest = _newest_checkpoint(client, reference) if client else None
+    if newest is None:
+        allowed = "an existing file or the id of an MLflow run that saved one"
+        raise UserError(f"checkpoint must be {allowed}, got {reference}")
+    return newest
+
+
+def _newest_checkpoint(client: "MlflowClient", run_id: str) -> Path | None:
+    from mlflow.artifacts import download_artifacts
+
+    models = client.search_logged_models(
+        [experiment.experiment_id for experiment in client.search_experiments()],
+        filter_string=f"source_run_id = '{run_id}'",
+        order_by=[{"field_name": "creation_timestamp", "ascending": False}],
+        max_results=1,
+    )
+    if not models:
+        return None
+    return Path(download_artifacts(artifact_uri=f"{models[0].artifact_location}/{CHECKPOINT_NAME}"))

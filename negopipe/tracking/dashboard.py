@@ -1,0 +1,37 @@
+"""`make ui`: MLflow's dashboard over the store of an outputs folder, on this machine only."""
+
+import os
+import sqlite3
+import sys
+from contextlib import closing
+from pathlib import Path
+
+CHARTS = "#/experiments/{}/runs?workflowType=machine_learning&compareRunsMode=CHART"
+"""The page of an experiment that opens on the charts of all its runs; MLflow's start page is another one."""
+
+
+def chart_addresses(database: Path, port: int) -> dict[str, str]:
+    """Address of the charts by experiment, the experiment with the latest run first."""
+    query = """SELECT experiments.name, experiment_id FROM experiments JOIN runs USING (experiment_id)
+               GROUP BY experiment_id ORDER BY MAX(start_time) DESC"""
+    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
+        return {name: f"http://127.0.0.1:{port}/{CHARTS.format(key)}" for name, key in connection.execute(query)}
+
+
+def main(outputs: str, port: str) -> None:
+    """Print where the charts are, then become the server."""
+    database = Path(outputs).absolute() / "mlflow" / "mlflow.db"
+    if not database.exists():
+        sys.exit(f"no runs are recorded under {outputs} yet: try make yield")
+    print("The dashboard is ready in some seconds; Ctrl-C stops it. Charts:")
+    for name, address in chart_addresses(database, int(port)).items():
+        print(f"  {name}: {address}", flush=True)
+    os.environ["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] = "false"  # schedulers for traces, of which there are none
+    address = ["--host", "127.0.0.1", "--port", port]
+    store = ["--backend-store-uri", f"sqlite:///{database}"]
+    quiet = ["--workers", "1", "--uvicorn-opts", "--log-level warning"]
+    os.execv(sys.executable, [sys.executable, "-m", "mlflow", "server", *address, *store, *quiet])
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

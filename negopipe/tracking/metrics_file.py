@@ -1,0 +1,36 @@
+"""metrics.json: the results of a run as one nested mapping that stages add their sections to."""
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+def merge_into(path: Path, section: Mapping[str, Any]) -> None:
+    """Merge `section` into the file, mapping by mapping; a reader sees the old file or the new one.
+
+    Keys are sorted, NaN and infinity become null, numbers of numpy and torch plain ones.
+    """
+    stored = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    merged = json.dumps(_plain(_merge(stored, section)), sort_keys=True, indent=2, allow_nan=False)
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    draft.write_text(merged + "\n", encoding="utf-8")
+    os.replace(draft, path)
+
+
+def _merge(old: Any, new: Any) -> Any:
+    if not (isinstance(old, Mapping) and isinstance(new, Mapping)):
+        return new
+    return {**old, **{key: _merge(old.get(key), value) for key, value in new.items()}}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):  # arrays, tensors and their scalars
+        return _plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value

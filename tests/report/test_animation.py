@@ -1,0 +1,105 @@
+"""Animations run in real time, show the chosen episodes, and draw what the planner foresees to scale."""
+
+from dataclasses import replace
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.report.animation import HOLD_S, Scene, _Film, animate, choose_episodes, still
+from negopipe.report.figures import ADAPTIVE_COLOR, horizon_color
+
+
+def ranked(trace: Trace, returns: list[float], outcomes: list[str]) -> Trace:
+    """The trace with these returns and outcomes."""
+    n = len(returns)
+    reward = np.zeros((len(trace.reward), n), dtype=np.float32)
+    reward[0] = returns
+    return replace(trace, reward=reward, outcome=np.array([OUTCOMES.index(name) for name in outcomes]))
+
+
+def test_the_median_success_is_chosen(traces: list[Trace]) -> None:
+    outcomes = ["success", "collision", "success", "success", "success", "success"]
+    trace = ranked(traces[0], [5.0, 99.0, 1.0, 2.0, 3.0, 4.0], outcomes)
+    assert choose_episodes(trace, 1) == [4]  # returns 1 2 3 4 5 -> 3
+    assert choose_episodes(trace, 4) == [3, 4, 5, 0]
+    assert choose_episodes(trace, 9) == [2, 3, 4, 5, 0]  # there are only five
+    assert choose_episodes(trace, 0) == []
+
+
+def test_without_a_success_all_episodes_are_ranked(traces: list[Trace]) -> None:
+    trace = ranked(traces[0], [-3.0, -1.0, -2.0], ["collision", "deadlock", "timeout"])
+    assert choose_episodes(trace, 1) == [2]
+
+
+@pytest.mark.parametrize("fps", [1, 3])
+def test_a_gif_runs_in_real_time(traces: list[Trace], scene: Scene, fps: int) -> None:
+    gif = Image.open(BytesIO(animate(traces[:1], 0, scene, fps)))
+    total_ms = 0
+    for frame in range(gif.n_frames):
+        gif.seek(frame)
+        total_ms += gif.info["duration"]
+    duration_s = traces[0].n_steps[0] * traces[0].dt_s
+    assert total_ms / 1000 - HOLD_S == pytest.approx(duration_s, abs=1 / fps)
+    assert gif.info["loop"] == 0
+
+
+def test_a_gif_is_small_and_the_same_each_time(traces: list[Trace], scene: Scene) -> None:
+    assert len(animate([traces[0], traces[2], traces[4]], 0, scene, 10)) < 1_500_000
+    assert animate(traces[:1], 0, scene, 1) == animate(traces[:1], 0, scene, 1)
+
+
+def test_side_by_side_has_one_panel_per_planner(traces: list[Trace], scene: Scene) -> None:
+    one, three = (Image.open(BytesIO(still(shown, 0, scene, 1.0))) for shown in (traces[:1], traces[:3]))
+    assert one.width == three.width
+    assert three.height > 2.5 * one.height
+
+
+def test_vehicles_are_drawn_in_their_colours(traces: list[Trace], scene: Scene) -> None:
+    image = np.asarray(Image.open(BytesIO(still(traces[:1], 0, scene, 0.0))))
+    ego = (image == [int(ADAPTIVE_COLOR[i : i + 2], 16) for i in (1, 3, 5)]).all(-1)
+    pixel_m = 2 * (np.abs(traces[0].position_m[0, 0, :, 0]).max() + 4) / image.shape[1]
+    # the windscreen takes 16 % of the length and 80 % of the width
+    area_m2 = scene.vehicle_length_m * scene.vehicle_width_m * (1 - 0.16 * 0.8)
+    assert ego.sum() * pixel_m**2 == pytest.approx(area_m2, rel=0.15)
+    assert np.flatnonzero(ego.any(0)).mean() < image.shape[1] / 2  # it comes from the left
+
+
+@pytest.mark.parametrize("horizon_s", [0.0, 2.0, 6.0])
+def test_the_ribbon_is_as_long_as_the_prediction(traces: list[Trace], scene: Scene, horizon_s: float) -> None:
+    trace = replace(traces[0], horizon_s=np.full_like(traces[0].horizon_s, horizon_s))
+    panel = _Film([trace], 0, scene).panels[0]
+    panel.artists_at(1.0)
+    outline = panel.ribbons[0].get_xy()
+    assert np.ptp(outline[:, 0]) == pytest.approx(horizon_s * trace.speed_mps[5, 0, 1], abs=1e-4)
+    if horizon_s:
+        assert (
+            outline[:, 0].min() < trace.position_m[5, 0, 1, 0] - 1
+        )  # ahead of a vehicle that comes towards us
+        half = outline[outline[:, 0].argmin(), 1]
+        assert abs(half) <= 1.75 + scene.vehicle_width_m / 2  # on its route
+    assert panel.ribbons[0].get_facecolor()[:3] == pytest.approx(
+        [int(horizon_color(horizon_s)[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    )
+
+
+def test_between_decisions_vehicles_move_on_evenly(traces: list[Trace], scene: Scene) -> None:
+    panel = _Film(traces[:1], 0, scene).panels[0]
+    centers = []
+    for time_s in (0.4, 0.5, 0.6):
+        panel.artists_at(time_s)
+        centers.append(panel.bodies[0].get_xy()[:4].mean(0))
+    np.testing.assert_allclose(centers[1], (centers[0] + centers[2]) / 2, atol=1e-6)
+    np.testing.assert_allclose(centers[2], traces[0].position_m[3, 0, 0], atol=1e-5)
+
+
+def test_the_end_is_told_and_stays(traces: list[Trace], scene: Scene) -> None:
+    crashed = next(trace for trace in traces if OUTCOMES[trace.outcome[0]] == "collision")
+    panel = _Film([crashed], 0, scene).panels[0]
+    panel.artists_at(0.0)
+    assert not panel.crash.get_visible()
+    panel.artists_at(1e3)
+    assert panel.crash.get_visible()
+    assert panel.status.get_text() == f"collision after {crashed.n_steps[0] * crashed.dt_s:.1f} s"

@@ -1,0 +1,126 @@
+"""Figures show the numbers they are given, with units, and always the same way."""
+
+import re
+from collections.abc import Callable
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from negopipe.evaluation.metrics import behaviour_index
+from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.report import figures
+
+Draw = Callable[[list[Trace], pd.DataFrame, pd.DataFrame], Figure]
+
+DRAWINGS: dict[str, Draw] = {
+    "comparison": lambda traces, table, history: figures.comparison(table),
+    "outcomes": lambda traces, table, history: figures.outcomes(table),
+    "success_by_style": lambda traces, table, history: figures.success_by_style(table),
+    "behaviour": lambda traces, table, history: figures.behaviour(traces),
+    "horizons": lambda traces, table, history: figures.horizons(traces),
+    "space_time": lambda traces, table, history: figures.space_time(traces[:5], 0, (-6.0, 6.0)),
+    "training": lambda traces, table, history: figures.training(history),
+}
+
+
+@pytest.mark.parametrize("name", DRAWINGS)
+def test_every_quantity_has_its_unit(
+    name: str, traces: list[Trace], table: pd.DataFrame, history: pd.DataFrame
+) -> None:
+    figure = DRAWINGS[name](traces, table, history)
+    axis_labels = [label for axis in figure.axes for label in (axis.get_xlabel(), axis.get_ylabel()) if label]
+    axis_labels += [figure.get_supxlabel()] if figure.get_supxlabel() else []
+    assert axis_labels
+    assert all(re.search(r"\[.+\]", label) for label in axis_labels)
+    if name == "training":  # panels are titled with what they show instead
+        assert all(re.search(r"\[.+\]", axis.get_title(loc="left")) for axis in figure.axes)
+
+
+@pytest.mark.parametrize("name", DRAWINGS)
+def test_the_same_data_give_the_same_bytes(
+    name: str, traces: list[Trace], table: pd.DataFrame, history: pd.DataFrame
+) -> None:
+    first, second = (figures.render(DRAWINGS[name](traces, table, history), "svg") for _ in range(2))
+    assert first == second
+    assert first.startswith(b"<?xml")
+
+
+def test_formats_are_what_they_are_called(table: pd.DataFrame) -> None:
+    figure = figures.outcomes(table)
+    assert figures.render(figure, "png").startswith(b"\x89PNG")
+    assert figures.render(figure, "pdf").startswith(b"%PDF")
+
+
+def test_style_does_not_leak(table: pd.DataFrame) -> None:
+    before = matplotlib.rcParams["svg.hashsalt"], matplotlib.rcParams["axes.spines.top"]
+    figures.render(figures.outcomes(table), "svg")
+    assert (matplotlib.rcParams["svg.hashsalt"], matplotlib.rcParams["axes.spines.top"]) == before
+
+
+def test_a_planner_keeps_its_colour_whoever_it_is_shown_with() -> None:
+    alone = figures.planner_colors(["fixed_4"])
+    together = figures.planner_colors(["adaptive", "fixed_0", "random", "fixed_4", "rule"])
+    assert together["fixed_4"] == alone["fixed_4"] == figures.horizon_color(4.0)
+    assert len(set(together.values())) == 5
+
+
+def test_comparison_prints_the_means(table: pd.DataFrame) -> None:
+    figure = figures.comparison(table)
+    printed = [text.get_text() for text in figure.axes[2].texts]  # second row, first setting: driving time
+    rows = table[table["setting"] == table["setting"].iloc[0]]
+    means = rows.groupby("planner", sort=False)["driving_time_s"].mean()
+    assert printed == ["none" if np.isnan(mean) else f"{mean:.1f}" for mean in means]
+    assert "none" in printed
+    assert printed[0] != "none"
+
+
+def test_bars_of_outcomes_are_the_shares(table: pd.DataFrame) -> None:
+    axis = figures.outcomes(table).axes[0]
+    rows = table[table["setting"] == table["setting"].iloc[0]]
+    for planner_row, planner in enumerate(rows["planner"].unique()):
+        outcome = rows[rows["planner"] == planner]["outcome"]
+        for container, name in zip(axis.containers, OUTCOMES, strict=True):
+            assert container[planner_row].get_width() == pytest.approx(100 * (outcome == name).mean())
+
+
+def test_behaviour_draws_the_median_index_in_degrees(traces: list[Trace]) -> None:
+    axis = figures.behaviour(traces).axes[0]
+    adaptive = next(line for line in axis.lines if to_hex(line.get_color()) == figures.ADAPTIVE_COLOR.lower())
+    psi = np.degrees(behaviour_index(traces[0]))
+    n_drawn = len(adaptive.get_ydata())
+    np.testing.assert_allclose(adaptive.get_ydata(), np.nanmedian(psi[:n_drawn], axis=1))
+    assert np.isfinite(psi[n_drawn - 1]).mean() >= 0.25
+    assert n_drawn == len(psi) or np.isfinite(psi[n_drawn]).mean() < 0.25
+
+
+def test_horizons_fill_exactly_the_running_episodes(traces: list[Trace]) -> None:
+    axis = figures.horizons(traces).axes[0]
+    outline = axis.patches[-1].get_data().values
+    is_running = np.arange(len(traces[0].reward))[:, None] < traces[0].n_steps
+    np.testing.assert_allclose(outline, 100 * is_running.mean(1))
+
+
+def test_space_time_colours_the_ego_by_its_horizon(traces: list[Trace]) -> None:
+    figure = figures.space_time(traces[:5], 0, (-6.0, 6.0))
+    for axis, trace in zip(figure.axes, traces[:5], strict=True):
+        colors = [to_hex(color) for color in axis.collections[-1].get_colors()]
+        horizon = trace.horizon_s[: trace.n_steps[0], 0, 0]
+        assert colors == [figures.horizon_color(value) for value in horizon]
+        assert OUTCOMES[trace.outcome[0]] in axis.get_title(loc="left")
+
+
+def test_training_draws_only_what_was_logged_and_marks_the_stages(history: pd.DataFrame) -> None:
+    figure = figures.training(history.drop(columns=["kl", "value_loss"]))
+    assert [axis.get_title(loc="left") for axis in figure.axes] == [
+        "episodes [%]",
+        "return [reward]",
+        "policy entropy [nat]",
+        "speed [decisions/s]",
+    ]
+    boundaries = [line.get_xdata()[0] for line in figure.axes[1].lines if line.get_linestyle() == "--"]
+    begins = history["decisions"][history["stage"] != history["stage"].shift(fill_value="apart")] / 1e3
+    assert boundaries == pytest.approx(begins.tolist())

@@ -1,0 +1,138 @@
+"""The stage: the files of a run become a report; what is missing is said in one line."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+import yaml
+from pydantic import TypeAdapter
+
+from negopipe.errors import UserError
+from negopipe.evaluation.metrics import summary
+from negopipe.evaluation.trace import Trace, load_traces, save_traces
+from negopipe.report.page import ReportConfig
+from negopipe.simulation.road import Road
+from negopipe.simulation.scenario import ScenarioConfig
+from negopipe.stages import report
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+
+
+class Evaluation:
+    leading_setting = "push"
+
+
+class Config:
+    """Stands for the root config, as far as the stage reads it."""
+
+    name, seed, evaluation = "push", 3, Evaluation()
+    scenario: ScenarioConfig
+    report: ReportConfig
+
+    def __init__(self, **changed: Any) -> None:
+        scenario = yaml.safe_load((CONF / "scenario" / "narrow_lane.yaml").read_text())
+        self.scenario = TypeAdapter(ScenarioConfig).validate_json(json.dumps(scenario), strict=True)
+        quick = {"figure_formats": ("png",), "n_animations": 0, "side_by_side": (), "animation_fps": 2}
+        self.report = ReportConfig(**(quick | changed))
+
+
+class Run:
+    """Stands for the tracked run and remembers what it was given."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.artifacts, self.description = folder, [], ""
+
+    def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
+        self.artifacts.append((path.name, artifact_folder))
+
+    def set_description(self, markdown: str) -> None:
+        self.description = markdown
+
+
+PLANNERS = ["adaptive", "fixed_0", "fixed_6"]
+
+
+@pytest.fixture(scope="module")
+def table(table: pd.DataFrame) -> pd.DataFrame:
+    return table[table["planner"].isin(PLANNERS)]
+
+
+@pytest.fixture
+def run(tmp_path: Path, traces: list[Trace], table: pd.DataFrame, history: pd.DataFrame) -> Run:
+    save_traces(tmp_path / "traces.npz", [trace for trace in traces if trace.planner in PLANNERS])
+    table.to_csv(tmp_path / "episodes.csv", index=False)
+    history.to_csv(tmp_path / "history.csv", index=False)
+    (tmp_path / "metrics.json").write_text(json.dumps(summary(table), sort_keys=True))
+    (tmp_path / "config.yaml").write_text("name: push\nseed: 3\n")
+    return Run(tmp_path)
+
+
+def test_everything_is_written_and_logged(run: Run) -> None:
+    report.run(Config(n_animations=1, side_by_side=("fixed_0", "fixed_6")), run)
+    page = (run.folder / "report.html").read_text()
+    for section in ("Results", "Planners compared", "Negotiations", "Watch it", "Behaviour", "Training"):
+        assert f"<h2>{section}</h2>" in page
+    assert "<h2>How it was made</h2>" in page
+    assert "name: push" in page
+    images = re.findall(r'<img src="(data:image/[a-z+]+);', page)
+    assert images.count("data:image/svg+xml") == 7
+    assert images.count("data:image/gif") == 4  # in each setting one alone and one side by side
+    assert run.artifacts == [("figures", "figures"), ("animations", "animations"), ("report.html", "")]
+    assert run.description.startswith("Push: the adaptive planner")
+    assert len(list((run.folder / "animations").glob("*.gif"))) == 4
+
+
+def test_options_act(run: Run) -> None:
+    report.run(Config(figure_formats=("svg",)), run)
+    assert {path.suffix for path in (run.folder / "figures").iterdir()} == {".svg"}
+    page = (run.folder / "report.html").read_text()
+    assert "data:image/gif" not in page
+    assert "Learning curves" in page
+    assert "Success against every style" not in page  # each setting has one style
+
+
+def test_what_is_shown_depends_on_what_there_is(run: Run, table: pd.DataFrame) -> None:
+    varied = table.assign(style_horizon_s=table["episode"].mod(2) * 6.0)
+    varied.to_csv(run.folder / "episodes.csv", index=False)
+    (run.folder / "history.csv").unlink()
+    report.run(Config(), run)
+    page = (run.folder / "report.html").read_text()
+    assert "Success against every style" in page
+    assert "was not trained in this run" in page
+    assert "Learning curves" not in page
+
+
+@pytest.mark.parametrize("name", ["metrics.json", "episodes.csv", "traces.npz"])
+def test_a_missing_file_names_the_stage_to_run(run: Run, name: str) -> None:
+    (run.folder / name).unlink()
+    with pytest.raises(UserError, match=rf"{name}: .*`evaluate`"):
+        report.run(Config(), run)
+
+
+def test_a_planner_that_was_not_evaluated_is_named(run: Run) -> None:
+    with pytest.raises(
+        UserError, match=r"planner fixed_3, but traces\.npz holds only: adaptive, fixed_0, fixed_6"
+    ):
+        report.run(Config(side_by_side=("fixed_3",)), run)
+
+
+def test_planners_must_have_driven_the_same_tasks(run: Run) -> None:
+    first, second, *others = load_traces(run.folder / "traces.npz")
+    moved = replace(second, start_distance_m=second.start_distance_m + 1)
+    save_traces(run.folder / "traces.npz", [first, moved, *others])
+    with pytest.raises(UserError, match="adaptive and fixed_0 drove different tasks"):
+        report.run(Config(), run)
+
+
+def test_the_scene_is_the_road(run: Run) -> None:
+    config = Config().scenario
+    scene = report.make_scene(config, Road(config.road))
+    x, y = scene.route_m.T
+    assert y[abs(x) < 6].tolist() == pytest.approx([0.0] * int((abs(x) < 6).sum()))
+    assert y[abs(x) > 17].tolist() == pytest.approx([-config.road.lane_offset_m] * int((abs(x) > 17).sum()))
+    assert (scene.vehicle_length_m, scene.vehicle_width_m) == (4.5, 1.8)
+    assert scene.parked_cars.shape == (2 * config.road.n_parked_per_side, 5)

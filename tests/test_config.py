@@ -1,0 +1,139 @@
+"""conf/ composes and builds, wrong values are named in one line, and run names change with the result only."""
+
+import dataclasses
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from negopipe.__main__ import CONF
+from negopipe.config import RESULT_NEUTRAL, RunConfig, as_mapping, load, run_name
+from negopipe.config_errors import unknown_key
+from negopipe.errors import UserError
+
+ROOT = Path(__file__).parent.parent
+OPTIONS = sorted(path.relative_to(CONF).with_suffix("") for path in CONF.glob("*/**/*.yaml"))
+
+
+def build(*overrides: str) -> RunConfig:
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return load(compose("config", list(overrides)))
+
+
+def job_commands() -> list[list[str]]:
+    """Arguments of every `python -m negopipe` in jobs/*.sh, without what the caller of the script may add."""
+    commands = []
+    for script in sorted((ROOT / "jobs").glob("*.sh")):
+        text = script.read_text(encoding="utf-8").replace("\\\n", " ")
+        for call in re.findall(r"^[^#\n]*python3? -m negopipe(?![.\w])(.*)$", text, flags=re.MULTILINE):
+            words = shlex.split(re.split(r"[|;&>]", call)[0], comments=True)
+            commands.append([word for word in words if word not in ("$@", "$*")])
+    return commands
+
+
+@pytest.mark.parametrize("option", OPTIONS, ids=str)
+def test_every_option_composes_and_builds(option: Path) -> None:
+    plus = "+" if option.parts[0] == "experiment" else ""
+    build(f"{plus}{option.parent}={option.name}")
+
+
+@pytest.mark.parametrize("words", job_commands(), ids=" ".join)
+def test_every_job_composes_and_builds(words: list[str]) -> None:
+    overrides = OverridesParser.create().parse_overrides([word for word in words if not word.startswith("-")])
+    is_sweep = bool({"-m", "--multirun"} & set(words))
+    assert is_sweep or not any(override.is_sweep_override() for override in overrides)
+    (runs,) = BasicSweeper.split_arguments(overrides, max_batch_size=None)
+    for run in runs:
+        build(*[word for word in run if not word.lstrip("+").startswith("hydra")])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "line"),
+    [
+        (["planner.horizon_s=-1.0"], "planner.horizon_s must be greater than 0, got -1.0"),
+        (["seed=true"], "seed must be a valid integer, got true"),
+        (["seed=one"], "seed must be a valid integer, got one"),
+        (["outputs=null"], "outputs must be a valid string, got null"),
+        (["device=tpu"], "device must be one of auto, cpu, cuda, got tpu"),
+        (["stages=[train,rest]"], "stages.1 must be one of train, evaluate, report, got rest"),
+        (["stages=train"], "stages must be a list, got train"),
+        (["name=a/b"], "name must match pattern '^[A-Za-z0-9][A-Za-z0-9_.-]*$', got a/b"),
+        (["++planner.limits=3"], "planner.limits must be a mapping, got 3"),
+        (["~tracking.uri"], "tracking.uri is missing"),
+        (
+            ["seed=-1", "device=tpu"],
+            "seed must be greater than or equal to 0, got -1; device must be one of ",
+        ),
+        (["seed=${nothing}"], "seed cannot be resolved: Interpolation key 'nothing' not found"),
+        (["planner.horizon_s=3.0"], "policy.horizons_s must be at most planner.horizon_s = 3.0, got 6.0"),
+        (
+            ["evaluation.fixed_horizons_s=[8.0]", "report.side_by_side=[]"],
+            "evaluation.fixed_horizons_s must be at most planner.horizon_s = 6.0, got 8.0",
+        ),
+        (
+            ["curriculum.stages.0.families.push.style_horizon_s=[2.0,7.0]"],
+            "curriculum.stages.0.families.push.style_horizon_s must be at most planner.horizon_s = 6.0, got 7.0",
+        ),
+        (
+            ["observation.frame_interval_s=0.5"],
+            "observation.frame_interval_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
+        ),
+        (
+            ["observation.n_cells=20"],
+            "policy.conv.2.kernel must be at most 1, what is left there of observation.n_cells = 20, got 3",
+        ),
+        (["evaluation.settings=[rest]"], "evaluation.settings must be among push, yield, got rest"),
+        (
+            ["evaluation.leading_setting=rest"],
+            "evaluation.leading_setting must be among push, yield, got rest",
+        ),
+        (["report.side_by_side=[fixed_3]"], "report.side_by_side must be among fixed_0, fixed_2, "),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_wrong_value_is_named_with_what_is_allowed(overrides: list[str], line: str) -> None:
+    with pytest.raises(UserError) as error:
+        build(*overrides)
+    assert str(error.value).startswith(line)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "scenario.families.push.foo"])
+def test_an_added_key_is_refused_at_every_depth(key: str) -> None:
+    siblings: object = as_mapping(build())
+    for part in key.split(".")[:-1]:
+        assert isinstance(siblings, dict)
+        siblings = siblings[part]
+    assert isinstance(siblings, dict)
+    with pytest.raises(UserError, match=f"^{re.escape(unknown_key(key, siblings))}$"):
+        build(f"+{key}=1")
+
+
+def test_a_key_in_a_list_item_is_refused() -> None:
+    with pytest.raises(UserError, match=r"policy\.conv\.0\.kernle is not a known key, did you mean kernel\?"):
+        build("policy.conv=[{channels: 1, kernle: 2, stride: 3}]")
+
+
+def test_a_run_is_named_for_what_its_result_depends_on() -> None:
+    same = run_name(build())
+    assert re.fullmatch(r"seed1-[0-9a-f]{8}", same)
+    for override in ("outputs=elsewhere", "stages=[report]", "n_threads=7", "name=other"):
+        assert run_name(build(override)) == same, override
+    assert run_name(build("seed=7")) == same.replace("seed1", "seed7")
+    for override in ("checkpoint=there", "planner.horizon_s=6.5", "compile='off'", "device=cpu"):
+        assert run_name(build(override)) != same, override
+
+
+def test_neutral_keys_exist() -> None:
+    assert {field.name for field in dataclasses.fields(RunConfig)} >= RESULT_NEUTRAL
+
+
+def test_the_config_can_be_read_back_from_its_mapping() -> None:
+    from omegaconf import OmegaConf
+
+    config = build("seed=3")
+    assert load(OmegaConf.create(as_mapping(config))) == config
