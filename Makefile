@@ -32,7 +32,7 @@ smoke: $(READY)  ## the whole pipeline, tiny: does it run from end to end?
 	$(BIN)/python -m negopipe +experiment=smoke $(ARGS)
 
 test: $(READY)  ## the fast tests
-	$(BIN)/python -m pytest -m 'not slow' $(ARGS)
+	$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
 
 test-slow: $(READY)  ## the tests that take longer
 	$(BIN)/python -m pytest -m slow $(ARGS)

@@ -1,1 +1,30 @@
-"""negopipe"""
+"""negopipe: train, evaluate and show a driving policy that negotiates narrow passages.
+
+The map, from the bottom up (a part imports only what stands above it here):
+
+    schema, errors, seeding   how configs are declared, the user's errors, random streams
+    simulation/   state, geometry, road, scenario (tasks), perception, simulator: the driving game
+    planner/      polynomials, longitudinal and lateral candidates, prediction, frenet (the choice)
+    observation/  occupancy grids          reward   Eq. 3
+    driver        who drives a vehicle     policy/  the network
+    learning/     rollout, advantage, kfac, acktr, curriculum: tensors only, nothing of the simulator
+    env           the game as batched worlds for the learner
+    evaluation/   drives held-out tasks: planners, episodes, trace, metrics
+    report/       figures, animation, page     tracking/   MLflow store, checkpoints
+    stages/       train, evaluate, report: each a function of config and run
+    config        RunConfig, the root schema   __main__   the command line   gym_env   gymnasium's door
+
+One decision (E worlds, V vehicles)
+    action [E] -> horizon [E, V] (ego from the action, social from its style) -> perceive -> predict
+    -> one `plan` for all E*V -> `step` 0.2 s -> events -> reward -> grids of the state reached -> masked reset
+
+One iteration
+    the stage's task distribution -> collect -> k-step advantage -> ACKTR update -> log -> (stage's end) checkpoint
+"""
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent
+
+CONF = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
+"""The configs: inside the package in a wheel, beside it in a checkout."""

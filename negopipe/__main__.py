@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.utils import env_override
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
+from negopipe import CONF
 from negopipe.config_errors import explain_composition
 from negopipe.errors import UserError
 
@@ -28,10 +30,6 @@ if TYPE_CHECKING:
     from negopipe.config import RunConfig
 
 log = logging.getLogger("negopipe")
-
-PACKAGE = Path(__file__).resolve().parent
-CONF = PACKAGE / "conf" if (PACKAGE / "conf").is_dir() else PACKAGE.parent / "conf"
-"""In a wheel the configs lie inside the package, in a checkout beside it."""
 
 FAILURES = "NEGOPIPE_FAILURES"
 """Environment variable: the file in which the jobs of a command note why they failed. An exception would not
@@ -44,11 +42,11 @@ def main() -> int:
     if os.environ.get("HYDRA_FULL_ERROR") == "1":  # the user wants every error with its traceback
         pipeline()
         return 0
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # errors reach this function instead of being printed by Hydra
     with tempfile.NamedTemporaryFile("r", prefix="negopipe-", encoding="utf-8") as failures:
-        os.environ[FAILURES] = failures.name
         try:
-            pipeline()
+            # with full errors, they reach this function instead of being printed by Hydra
+            with env_override({"HYDRA_FULL_ERROR": "1", FAILURES: failures.name}):
+                pipeline()
             lines = [json.loads(line) for line in failures]
         except (HydraException, OmegaConfBaseException, YAMLError) as error:
             lines = [explain_composition(error)]

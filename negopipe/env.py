@@ -96,6 +96,7 @@ class NegotiationEnv:
         self.game, self.reward_config, self.sampler, self.n_worlds = game, reward_config, sampler, n_worlds
         self.restart()
         self._horizons = torch.tensor(horizons_s, device=self.world.step.device)
+        self.n_actions = len(horizons_s)
 
     def restart(self) -> None:
         """Start a new task in every world."""

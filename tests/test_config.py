@@ -1,27 +1,28 @@
-"""conf/ composes and builds, wrong values are named in one line, and run names change with the result only."""
+"""conf/ composes and builds, wrong values are named in one line, run names change with the result only."""
 
 import dataclasses
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
 
-from negopipe.__main__ import CONF
+from negopipe import CONF
 from negopipe.config import RESULT_NEUTRAL, RunConfig, as_mapping, load, run_name
 from negopipe.config_errors import unknown_key
 from negopipe.errors import UserError
+from negopipe.gym_env import compose_config
 
 ROOT = Path(__file__).parent.parent
 OPTIONS = sorted(path.relative_to(CONF).with_suffix("") for path in CONF.glob("*/**/*.yaml"))
 
 
 def build(*overrides: str) -> RunConfig:
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return load(compose("config", list(overrides)))
+    return compose_config(overrides)
 
 
 def job_commands() -> list[list[str]]:
@@ -63,7 +64,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["stages=train"], "stages must be a list, got train"),
         (["name=a/b"], "name must match pattern '^[A-Za-z0-9][A-Za-z0-9_.-]*$', got a/b"),
         (["++planner.limits=3"], "planner.limits must be a mapping, got 3"),
-        (["~tracking.uri"], "tracking.uri is missing"),
+        (["~planner.horizon_s"], "planner.horizon_s is missing"),
         (
             ["seed=-1", "device=tpu"],
             "seed must be greater than or equal to 0, got -1; device must be one of ",
@@ -76,7 +77,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         ),
         (
             ["curriculum.stages.0.families.push.style_horizon_s=[2.0,7.0]"],
-            "curriculum.stages.0.families.push.style_horizon_s must be at most planner.horizon_s = 6.0, got 7.0",
+            "curriculum.stages.0.families.push.style_horizon_s must be at most planner.horizon_s = 6.0, got ",
         ),
         (
             ["observation.frame_interval_s=0.5"],
@@ -102,13 +103,11 @@ def test_a_wrong_value_is_named_with_what_is_allowed(overrides: list[str], line:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "scenario.families.push.foo"])
+@pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "curriculum.stages.0.families.push.foo"])
 def test_an_added_key_is_refused_at_every_depth(key: str) -> None:
-    siblings: object = as_mapping(build())
+    siblings: Any = as_mapping(build())
     for part in key.split(".")[:-1]:
-        assert isinstance(siblings, dict)
-        siblings = siblings[part]
-    assert isinstance(siblings, dict)
+        siblings = siblings[int(part) if part.isdigit() else part]
     with pytest.raises(UserError, match=f"^{re.escape(unknown_key(key, siblings))}$"):
         build(f"+{key}=1")
 
@@ -133,7 +132,5 @@ def test_neutral_keys_exist() -> None:
 
 
 def test_the_config_can_be_read_back_from_its_mapping() -> None:
-    from omegaconf import OmegaConf
-
     config = build("seed=3")
     assert load(OmegaConf.create(as_mapping(config))) == config

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from negopipe.driver import ChooseHorizon, Driver, HorizonDriver, drive_together, own_style
 from negopipe.env import Game
+from negopipe.evaluation.metrics import AT_REST_MPS
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
 from negopipe.schema import NonNegativeFloat, NonNegativeInt, PositiveInt, schema
@@ -17,8 +18,6 @@ from negopipe.simulation.perception import perceive
 from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import EGO, Motion, Task, World, map_tensors, where_world
 
-REST_SPEED = 0.1
-"""m/s below which a vehicle is at rest (Reading: suspend number)."""
 DEADLOCK_S = 5.0
 """Time at rest, nose to nose, that makes a timeout a deadlock (Reading: deadlock)."""
 
@@ -54,10 +53,8 @@ def drive_episodes(
     """
     ego = HorizonDriver(choose_horizon, game.plan)
     social = HorizonDriver(own_style, game.plan)
-    drivers = [ego] + [social] * game.simulator.scenario.n_social
-    parts = [
-        _record(game, drivers, batch, reward_config, n_kept) for batch, n_kept in _batches(tasks, n_worlds)
-    ]
+    drivers: list[Driver] = [ego, *[social] * game.simulator.scenario.n_social]
+    parts = [_record(game, drivers, batch, reward_config, n_kept) for batch, n_kept in _batches(tasks, n_worlds)]
     joined = {name: np.concatenate([part[name] for part in parts], axis=_EPISODE_AXIS[name]) for name in parts[0]}
     return Trace(planner=names[0], family=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
 
@@ -119,9 +116,7 @@ def _state_row(game: Game, world: World) -> dict[str, Tensor]:
     }
 
 
-def _decision_row(
-    motion: Motion, events: Events, reward_config: RewardConfig, is_running: Tensor
-) -> dict[str, Tensor]:
+def _decision_row(motion: Motion, events: Events, reward_config: RewardConfig, is_running: Tensor) -> dict[str, Tensor]:
     paid = reward(reward_config, events.is_collision, events.is_success)
     return {
         "horizon_s": torch.where(is_running[:, None], motion.horizon, torch.nan),
@@ -144,7 +139,7 @@ def _pad(decisions: Tensor, n_missing: int) -> Tensor:
 def _stands_nose_to_nose(speed: Tensor, world: World, game: Game) -> Tensor:
     """[E] bool: at the end the ego and a social vehicle have stood for 5 s, neither having passed the other."""
     n_steps = round(DEADLOCK_S / game.simulator.scenario.dt_s)
-    is_at_rest = (speed[-n_steps:] < REST_SPEED).all(0)
+    is_at_rest = (speed[-n_steps:] < AT_REST_MPS).all(0)
     x = world.task.direction[:, :1] * world.vehicles.position[..., 0]
     is_ahead = x > x[:, :1]
     social = is_at_rest & is_ahead & (world.task.direction != world.task.direction[:, :1])

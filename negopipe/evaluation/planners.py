@@ -8,8 +8,6 @@ from negopipe.env import Game
 from negopipe.policy.actor_critic import ActorCritic, greedy_action, sample_action
 from negopipe.simulation.perception import Perception
 
-ADAPTIVE = "adaptive"
-
 
 def fixed_name(horizon_s: float) -> str:
     """Name of a fixed horizon in tables and files, e.g. `fixed_2`."""

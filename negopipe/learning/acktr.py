@@ -14,8 +14,8 @@ Decisions
     Two trust regions. delta bounds the policy: the encoder's and the policy head's share of v^T F_hat v. The
     value head cannot move the policy and has a delta of its own, so its error, which is large at first, does
     not use up the policy's budget.
-    Momentum is taken over gradients, before the preconditioning, so that the step that is
-    bounded is the step that is made. Where it points uphill, v^T grad L <= 0, it is dropped.
+    Momentum is taken over gradients, before the preconditioning, so that the step that is bounded is the step
+    that is made. Where it points uphill, v^T grad L <= 0, it is dropped.
     F_hat knows nothing of how layers act together and underestimates the KL several times over. So the KL of
     the step is measured, and where it exceeds delta the step is shortened by sqrt(delta / KL).
     Scale. Returns are normalised by their running mean and spread sigma (the network's last layer is rescaled
@@ -88,7 +88,7 @@ class Decisions:
         return len(self.action)
 
     def __getitem__(self, index: Tensor) -> "Decisions":
-        return Decisions(*(getattr(self, field.name)[index] for field in fields(self)))
+        return Decisions(*(getattr(self, field.name).index_select(0, index) for field in fields(self)))
 
 
 class Acktr:
@@ -119,9 +119,7 @@ class Acktr:
         self._track_returns(returns)
         explained = 1 - (returns - rollout.value).var() / returns.var().clamp(min=STD_MIN**2)
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
-        decisions = Decisions(
-            *(x.flatten(0, 1) for x in (rollout.observation, rollout.action, advantage, returns))
-        )
+        decisions = Decisions(*(x.flatten(0, 1) for x in (rollout.observation, rollout.action, advantage, returns)))
         shrink = 1 - (1 - self.config.final_step_share) * progress
         metrics = [
             self._step(decisions[index], shrink)
@@ -189,8 +187,8 @@ class Acktr:
         value_step = self._move(v, value_head, self.config.value_kl_clip, shrink)
         policy_step = self._move(v, others, self.config.kl_clip, shrink)
         kl = self._measure_kl(probe, old_log_prob)
-        if kl > self.config.kl_clip:
-            excess = policy_step * (1 - (self.config.kl_clip / kl).sqrt())
+        if not kl <= self.config.kl_clip:
+            excess = policy_step * torch.where(kl.isfinite(), 1 - (self.config.kl_clip / kl).sqrt(), 1.0)
             self._add(v, others, excess)
             policy_step, kl = policy_step - excess, self._measure_kl(probe, old_log_prob)
         return {"kl": kl, "policy_step": policy_step, "value_step": value_step}
@@ -213,9 +211,7 @@ class Acktr:
     def _direction(self, gradient: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The new momentum and its natural gradient, a descent direction."""
         mu = self.config.momentum
-        momentum = {
-            n: mu * self.momentum[n] + (1 - mu) * g if self.momentum else g for n, g in gradient.items()
-        }
+        momentum = {n: mu * self.momentum[n] + (1 - mu) * g if self.momentum else g for n, g in gradient.items()}
         v = self.kfac.natural_gradient(momentum)
         if bool(inner(v, gradient) > 0):
             return momentum, v
@@ -246,9 +242,7 @@ def fisher_loss(policy: ActorCritic, observation: Tensor, generator: Generator) 
 
 def trust_region_step(quadratic: Tensor, kl_clip: float, learning_rate: float) -> Tensor:
     """eta = min(eta_max, sqrt(2 delta / v^T F v)) for quadratic = v^T F v >= 0."""
-    return (
-        (2 * kl_clip / quadratic.clamp(min=torch.finfo(torch.float32).tiny)).sqrt().clamp(max=learning_rate)
-    )
+    return (2 * kl_clip / quadratic.clamp(min=torch.finfo(torch.float32).tiny)).sqrt().clamp(max=learning_rate)
 
 
 def kl_divergence(old: Tensor, new: Tensor) -> Tensor:

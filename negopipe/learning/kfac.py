@@ -45,8 +45,8 @@ class KfacConfig:
     statistics_decay: weight of the old factors when new ones come in; smaller at the start
     statistics_interval: updates from one set of statistics to the next
     n_statistics: samples N of one set
-    n_patches: patches, at least, that a convolution's input factor is estimated from: of the N samples only as
-        many are used as hold that many positions. The first convolution has 400 positions a sample
+    n_patches: patches that a convolution's input factor is estimated from, rounded up to whole samples; the
+        first convolution of the paper's network cuts 400 out of every grid
     inverse_interval: updates from one inversion to the next
     max_factor_size: input factors wider than this are split into equal diagonal blocks. The encoder's linear
         layer has 3137 inputs: as one block its inverse and its products cost more than the network itself
@@ -124,9 +124,7 @@ class Kfac:
         inputs, output_gradients = record(self.layers, fisher_loss)
         new = {
             name: Factors(
-                input_factor(
-                    layer, self._enough(inputs[name], output_gradients[name]), self.config.max_factor_size
-                ),
+                input_factor(layer, self._enough(inputs[name], output_gradients[name]), self.config.max_factor_size),
                 output_factor(layer, output_gradients[name]),
             )
             for name, layer in self.layers.items()
@@ -139,7 +137,7 @@ class Kfac:
         self.n_statistics_taken += 1
 
     def _enough(self, x: Tensor, d: Tensor) -> Tensor:
-        """As many samples of a layer's input x as hold `n_patches` positions; all of them for a linear layer."""
+        """As many samples of a layer's input x as hold `n_patches` positions; all for a linear layer."""
         positions = d[0, 0].numel()
         return x if d.dim() == 2 else x[: -(-self.config.n_patches // positions)]
 
@@ -159,15 +157,11 @@ def kfac_layers(network: nn.Module) -> dict[str, Layer]:
     covered = {id(p) for layer in layers.values() for p in (layer.weight, layer.bias)}
     stray = [name for name, p in network.named_parameters() if id(p) not in covered]
     if stray or any(layer.bias is None for layer in layers.values()):
-        raise ValueError(
-            f"K-FAC handles linear and convolutional layers with a bias only, got {stray or layers}"
-        )
+        raise ValueError(f"K-FAC handles linear and convolutional layers with a bias only, got {stray or layers}")
     return layers
 
 
-def record(
-    layers: dict[str, Layer], loss: Callable[[], Tensor]
-) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+def record(layers: dict[str, Layer], loss: Callable[[], Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     """Run `loss` and return, by layer, its input and the loss's gradient with respect to its output.
 
     The gradients of the weights are never formed, which saves a third of the backward pass.
@@ -263,12 +257,12 @@ def _inverse(factor: Tensor, damping: Tensor) -> Tensor:
     """Inverse of factor + damping I, [.., b, b]; NaN where it is not positive definite."""
     damped = factor + damping * torch.eye(factor.shape[-1], device=factor.device)
     root, info = torch.linalg.cholesky_ex(damped)
-    return torch.where((info == 0)[..., None, None], torch.cholesky_inverse(root), torch.nan)
+    return torch.where((info == 0)[..., None, None], torch.cholesky_inverse(root), torch.nan).contiguous()
 
 
 def _identity(factors: Factors) -> Factors:
     sides = (factors.inputs, factors.outputs)
-    return Factors(*(torch.eye(side.shape[-1], device=side.device).expand_as(side) for side in sides))
+    return Factors(*(torch.eye(side.shape[-1]).to(side).expand_as(side).contiguous() for side in sides))
 
 
 def _average(old: Factors | None, new: Factors, decay: float) -> Factors:

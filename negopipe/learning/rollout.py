@@ -85,9 +85,7 @@ class RunningEpisodes:
 
     @classmethod
     def start(cls, n_worlds: int, device: torch.device) -> "RunningEpisodes":
-        return cls(
-            torch.zeros(n_worlds, device=device), torch.zeros(n_worlds, dtype=torch.int64, device=device)
-        )
+        return cls(torch.zeros(n_worlds, device=device), torch.zeros(n_worlds, dtype=torch.int64, device=device))
 
 
 @torch.no_grad()
@@ -100,38 +98,36 @@ def collect(
     running: the episodes that the worlds are in the middle of, as the previous call returned them
     """
     observation = env.observe()
+    observations = observation.new_empty(n_steps, *observation.shape)
     steps: list[dict[str, Tensor]] = []
-    with policy.autocast(observation.device):
-        for _ in range(n_steps):
-            logits, value = policy(observation)
-            action = sample_action(logits, generator)
-            transition = env.step(action)
-            running, ended = _count(running, transition)
-            steps.append(
-                {
-                    "observation": observation,
-                    "action": action,
-                    "reward": transition.reward,
-                    "value": value,
-                    "is_terminated": transition.is_terminated,
-                    "is_truncated": transition.is_truncated,
-                    "final_value": _final_value(policy, transition),
-                    **ended,
-                }
-            )
-            observation = transition.observation
-        last_value = policy(observation)[1]
+    for t in range(n_steps):
+        observations[t] = observation
+        logits, value = policy(observation)
+        action = sample_action(logits, generator)
+        transition = env.step(action)
+        running, ended = _count(running, transition)
+        steps.append(
+            {
+                "action": action,
+                "reward": transition.reward,
+                "value": value,
+                "is_terminated": transition.is_terminated,
+                "is_truncated": transition.is_truncated,
+                "final_value": _final_value(policy, transition),
+                **ended,
+            }
+        )
+        observation = transition.observation
+    last_value = policy(observation)[1]
     stacked = {name: torch.stack([step[name] for step in steps]) for name in steps[0]}
-    return Rollout(**stacked, last_value=last_value), running
+    return Rollout(observation=observations, **stacked, last_value=last_value), running
 
 
 def _final_value(policy: ActorCritic, transition: Transition) -> Tensor:
     """Values of the final observations where truncated, else 0, [E]; the network sees only those."""
     final_value = torch.zeros_like(transition.reward)
     if transition.is_truncated.any():
-        final_value[transition.is_truncated] = policy(transition.final_observation[transition.is_truncated])[
-            1
-        ]
+        final_value[transition.is_truncated] = policy(transition.final_observation[transition.is_truncated])[1]
     return final_value
 
 

@@ -17,7 +17,6 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import VehicleConfig
 
-
 WORD_BITS = 28
 """Columns per machine word; three words hold the paper's 84 columns."""
 
@@ -138,8 +137,6 @@ def _static_boxes(road: Road, device: torch.device | str) -> Boxes:
     """Parked cars and, as two wide rectangles, what lies beyond the kerbs."""
     far = 1000.0  # m, longer than any grid
     right, left = road.kerb_y_m
-    sides = torch.tensor(
-        [[0.0, right - far / 2, 0.0, far, far], [0.0, left + far / 2, 0.0, far, far]], device=device
-    )
+    sides = torch.tensor([[0.0, right - far / 2, 0.0, far, far], [0.0, left + far / 2, 0.0, far, far]], device=device)
     x, y, yaw, length, width = torch.cat([road.parked_cars, sides]).unbind(-1)
     return Boxes(x, y, torch.cos(yaw), torch.sin(yaw), length / 2, width / 2)

@@ -120,9 +120,7 @@ class FrenetPlanner:
         is_feasible = self._is_drivable(samples)[:, None, :]
         is_feasible = is_feasible & (samples.travelled[:, None, :, -1] <= paths.free_distance[:, :, None])
         predicted = predict(self.config.prediction, self.road, other, direction[:, None], self.times)
-        is_feasible = is_feasible & ~self._conflicts(
-            route, samples, paths, predicted, other.speed, horizon.flatten()
-        )
+        is_feasible = is_feasible & ~self._conflicts(route, samples, paths, predicted, other.speed, horizon.flatten())
         cost = paths.cost[:, :, None] + self._longitudinal_cost(samples, desired_speed)[:, None, :]
         cost, best = torch.where(is_feasible, cost, torch.inf).flatten(1).min(dim=1)
         is_full_braking = torch.isinf(cost)
@@ -160,9 +158,7 @@ class FrenetPlanner:
         parked = self.road.parked_boxes()
         own = Boxes(s[..., None], d[..., None], cos[..., None], sin[..., None], half_length, half_width)
         towards = direction[:, None, None, None]
-        seen = parked._replace(
-            x=towards * parked.x + self.road.config.corridor_length_m / 2, y=towards * parked.y
-        )
+        seen = parked._replace(x=towards * parked.x + self.road.config.corridor_length_m / 2, y=towards * parked.y)
         reach = half_length * sin.abs() + half_width * cos
         is_off_road = d.abs() + reach > self.road.config.width_m / 2
         return (overlap_depth(own, seen).amax(-1) > 0) | is_off_road
@@ -206,18 +202,14 @@ class FrenetPlanner:
         beside = size.width_m / 2 + clearance.beside_m + clearance.beside_s * predicted_speed  # [N, O]
         other_cos = torch.rsqrt(1 + predicted.slope**2)
         fields = (predicted.s, predicted.d, other_cos, predicted.slope * other_cos)  # [N, O, T] each
-        other = Boxes(
-            *(field[:, :, None, None, :] for field in fields),
-            half_length=size.length_m / 2 + clearance.ahead_m,
-            half_width=beside[:, :, None, None, None],
-        )
+        s, d, cos, sin = (field[:, :, None, None, :] for field in fields)
+        half_length = size.length_m / 2 + clearance.ahead_m
+        other = Boxes(s, d, cos, sin, half_length, beside[:, :, None, None, None])
         is_predicted = self.times <= horizon[:, None] + self.dt_s / 2
         depth = overlap_depth(own, other)  # [N, O, L, C, T]
         return torch.where(is_predicted[:, None, None, None, :], depth, -torch.inf).amax((1, -1)) > 0
 
-    def _follow(
-        self, route: RouteState, samples: LongitudinalSamples, paths: Paths, best: Tensor
-    ) -> RouteState:
+    def _follow(self, route: RouteState, samples: LongitudinalSamples, paths: Paths, best: Tensor) -> RouteState:
         """State one step along the chosen combination [N] (flat index over L x C)."""
         n_longitudinal = self.longitudinal.n_candidates
         column = (best % n_longitudinal)[:, None]
@@ -229,7 +221,8 @@ class FrenetPlanner:
 
     def _brake(self, route: RouteState, paths: Paths) -> RouteState:
         """State one step into full braking, on the path that stays free the longest."""
-        decel, dt = self.config.limits.full_braking_mps2, self.dt_s
+        stretch = torch.sqrt(1 + route.d_prime**2)  # the limit holds along the path, the plan is along the road
+        decel, dt = self.config.limits.full_braking_mps2 / stretch, self.dt_s
         moving_s = (route.s_dot / decel).clamp(max=dt)
         travelled = route.s_dot * moving_s - decel * moving_s**2 / 2
         speed = (route.s_dot - decel * dt).clamp(min=0)

@@ -2,11 +2,13 @@
 
 import math
 from itertools import pairwise
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
+from pydantic import Field
 from torch import Generator, Tensor, nn
 
+from negopipe.errors import UserError
 from negopipe.schema import NonNegativeFloat, PositiveInt, schema
 
 HIDDEN_GAIN = math.sqrt(2)
@@ -37,7 +39,7 @@ class PolicyConfig:
     conv: tuple[ConvConfig, ...]
     encoder_width: PositiveInt
     head_widths: tuple[PositiveInt, ...]
-    horizons_s: tuple[NonNegativeFloat, ...]
+    horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=2)]
     precision: Literal["auto", "float32", "bfloat16"]
 
 
@@ -85,17 +87,12 @@ class ActorCritic(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Observations [E, *obs] -> logits [E, A] float32, V [E] float32 in units of return."""
-        with self.autocast(observation.device):
-            features = self.encoder(observation.to(self.dtype))
-        with torch.autocast(observation.device.type, enabled=False):
-            features = features.float()
-            logits = self.policy_head(features)
-            value = self.value_head(features).squeeze(-1)
+        device = observation.device.type
+        with torch.autocast(device, dtype=self.dtype, enabled=self.dtype != torch.float32):
+            features = self.encoder(observation.to(self.dtype)).float()
+        logits = self.policy_head(features)
+        value = self.value_head(features).squeeze(-1)
         return logits, self.value_mean + self.value_std * value
-
-    def autocast(self, device: torch.device) -> torch.autocast:
-        """The encoder's precision. Around several forward passes it casts the weights only once."""
-        return torch.autocast(device.type, dtype=self.dtype, enabled=self.dtype != torch.float32)
 
     @torch.no_grad()
     def rescale_value(self, mean: Tensor, std: Tensor) -> None:
@@ -118,7 +115,10 @@ class ActorCritic(nn.Module):
 
 
 class GridEncoder(nn.Module):
-    """Occupancy grids [E, C, H, W] (0 or 1) -> features [E, encoder_width], channels last in memory."""
+    """Occupancy grids [E, C, H, W] (0 or 1) -> features [E, encoder_width], channels last in memory.
+
+    Raises UserError where the convolutions leave nothing of the grid.
+    """
 
     def __init__(self, config: PolicyConfig, observation_shape: tuple[int, int, int]) -> None:
         super().__init__()
@@ -128,6 +128,8 @@ class GridEncoder(nn.Module):
             layers += [nn.Conv2d(channels, conv.channels, conv.kernel, conv.stride), nn.ReLU()]
             channels = conv.channels
             height, width = ((side - conv.kernel) // conv.stride + 1 for side in (height, width))
+        if min(height, width) < 1:
+            raise UserError(f"policy.conv must leave at least one cell of a {observation_shape[1:]} grid, got none")
         self.convolutions = nn.Sequential(*layers)
         self.linear = nn.Linear(channels * height * width, config.encoder_width)
 

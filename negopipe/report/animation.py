@@ -165,9 +165,7 @@ class _Panel:
         self.ribbons = [_polygon(axis, QUIET, alpha=RIBBON_ALPHA) for _ in colors[1:]]
         self.bodies = [_polygon(axis, color) for color in colors]
         self.windscreens = [_polygon(axis, "white") for _ in colors]
-        (self.crash,) = axis.plot(
-            [0], [0], "X", color=OUTCOME_COLORS["collision"], markersize=15, mec="white"
-        )
+        (self.crash,) = axis.plot([0], [0], "X", color=OUTCOME_COLORS["collision"], markersize=15, mec="white")
         above_road: Any = {"transform": axis.transAxes, "va": "bottom", "clip_on": False}
         label = planner_label(trace.planner)
         self.title = axis.text(0.012, 1.03, label, fontsize=12, fontweight="bold", **above_road)
@@ -204,9 +202,7 @@ class _Panel:
         yaw = self.yaw_rad[before : before + 2]
         return tuple((1 - share) * pair[0] + share * pair[1] for pair in (position, yaw, speed))  # type: ignore[return-value]
 
-    def _show_prediction(
-        self, position: np.ndarray, yaw: np.ndarray, speed: np.ndarray, horizon_s: float
-    ) -> None:
+    def _show_prediction(self, position: np.ndarray, yaw: np.ndarray, speed: np.ndarray, horizon_s: float) -> None:
         has_horizon = np.isfinite(horizon_s)
         self.horizon.set_text(f"looks {horizon_s:g} s ahead" if has_horizon else "")
         for ribbon, vehicle in zip(self.ribbons, range(1, len(yaw)), strict=True):

@@ -55,9 +55,7 @@ WATCH = (
     "episodes are). The median one is shown side by side with other planners on the same task; evenly spaced "
     "ranks are shown alone."
 )
-NOT_TRAINED = (
-    "The policy was not trained in this run: there is no history.csv. The config names its checkpoint."
-)
+NOT_TRAINED = "The policy was not trained in this run: there is no history.csv. The config names its checkpoint."
 
 
 def caption(name: str, **values: object) -> tuple[str, str]:

@@ -242,9 +242,7 @@ def _behaviour_curve(axis: Axes, trace: Trace, color: str) -> None:
     is_adaptive = trace.planner == ADAPTIVE
     if is_adaptive:
         axis.fill_between(time_s, low, high, color=color, alpha=0.25, linewidth=0)
-    axis.plot(
-        time_s, median, color=color, linewidth=2.2 if is_adaptive else 1.3, zorder=3 if is_adaptive else 2
-    )
+    axis.plot(time_s, median, color=color, linewidth=2.2 if is_adaptive else 1.3, zorder=3 if is_adaptive else 2)
 
 
 @styled

@@ -185,9 +185,7 @@ def _table(setting: str, measures: Mapping[str, Measures]) -> dict[str, Any]:
 
 
 def _number(row: _Row, value: float | None) -> str:
-    return (
-        "none" if value is None else f"{row.factor * value:.{row.decimals}f}".replace("-", "\N{MINUS SIGN}")
-    )
+    return "none" if value is None else f"{row.factor * value:.{row.decimals}f}".replace("-", "\N{MINUS SIGN}")
 
 
 def _best(row: _Row, values: Sequence[float | None]) -> list[bool]:

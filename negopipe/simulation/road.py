@@ -1,8 +1,7 @@
 """The road: kerbs, parked cars, the corridor between them, and the route that a vehicle follows through it."""
 
-from typing import NamedTuple
-
 import math
+from typing import NamedTuple
 
 import torch
 from pydantic import model_validator

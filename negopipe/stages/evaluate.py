@@ -9,10 +9,10 @@ from negopipe.env import Game
 from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import ADAPTIVE, adaptive_planner, fixed_planners
-from negopipe.evaluation.trace import save_traces
+from negopipe.evaluation.planners import adaptive_planner, fixed_planners
+from negopipe.evaluation.trace import ADAPTIVE, save_traces
 from negopipe.seeding import generator
-from negopipe.simulation.scenario import TaskSampler
+from negopipe.simulation.scenario import TaskSampler, pair_styles
 from negopipe.simulation.state import Task
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, device_of, load_policy
@@ -61,11 +61,8 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
 def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
     """The setting's tasks, the same for every planner and training seed; training draws from other streams."""
     stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
-    # paired first, so that `pairing` sees both families
-    sampler = TaskSampler(config.scenario, config.scenario.families, stream)
-    only = {setting: sampler.families[setting]}
-    sampler.families = only
-    return sampler.draw(config.evaluation.n_episodes)
+    families = pair_styles(config.scenario.families, config.scenario.pairing)
+    return TaskSampler(config.scenario, {setting: families[setting]}, stream).draw(config.evaluation.n_episodes)
 
 
 def _checkpoint(config: "RunConfig", run: "TrackedRun") -> "Path":

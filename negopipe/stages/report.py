@@ -77,9 +77,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     shown = [ADAPTIVE, *config.report.side_by_side]
     traces = _by_setting(load_traces(run.folder / "traces.npz"), settings, shown)
     table = _in_order(_read_csv(run.folder / "episodes.csv", "evaluate"), settings)
-    evaluation = {
-        setting: {t.planner: measures[setting][t.planner] for t in traces[setting]} for setting in settings
-    }
+    evaluation = {setting: {t.planner: measures[setting][t.planner] for t in traces[setting]} for setting in settings}
     drawings = _Gallery(run.folder / "figures", config.report.figure_formats)
     films = _Gallery(run.folder / "animations")
     road = Road(config.scenario.road)
@@ -131,9 +129,7 @@ def _planners(gallery: _Gallery, table: pd.DataFrame) -> Section:
     return Section("Planners compared", "", exhibits)
 
 
-def _negotiations(
-    gallery: _Gallery, traces: dict[str, list[Trace]], corridor_x_m: tuple[float, float]
-) -> Section:
+def _negotiations(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_x_m: tuple[float, float]) -> Section:
     exhibits = []
     for setting, group in traces.items():
         episode = animation.choose_episodes(_adaptive(group), 1)[0]
@@ -143,9 +139,7 @@ def _negotiations(
     return Section("Negotiations", "", exhibits)
 
 
-def _animations(
-    report: ReportConfig, gallery: _Gallery, traces: dict[str, list[Trace]], scene: Scene
-) -> Section:
+def _animations(report: ReportConfig, gallery: _Gallery, traces: dict[str, list[Trace]], scene: Scene) -> Section:
     exhibits = []
     for setting, group in traces.items():
         adaptive = _adaptive(group)
@@ -230,9 +224,7 @@ def _check_same_tasks(group: list[Trace]) -> None:
         )
         if not is_same:
             planners = f"{first.planner} and {trace.planner}"
-            raise UserError(
-                f"traces.npz: {planners} drove different tasks in {first.family}; evaluate them anew"
-            )
+            raise UserError(f"traces.npz: {planners} drove different tasks in {first.family}; evaluate them anew")
 
 
 def _adaptive(group: list[Trace]) -> Trace:

@@ -31,9 +31,7 @@ def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
     device = device_of(config)
     is_compiled = wants_compile(config.compile)
     game = build_game(config.scenario, config.planner, config.observation, device, is_compiled)
-    policy = grid_actor_critic(
-        config.policy, game.observation_shape, device, generator(config.seed, "initial weights")
-    )
+    policy = grid_actor_critic(config.policy, game.observation_shape, device, generator(config.seed, "initial weights"))
     how = "compiled (the first step takes up to a minute)" if is_compiled else "not compiled"
     log.info(
         f"device     {device.type}, {config.n_threads} threads, network in {policy.dtype}, simulator {how}, "
@@ -62,9 +60,7 @@ def load_policy(path: Path, policy: ActorCritic, config: "RunConfig") -> None:
         differing = [key for key in wanted if made_with.get(key) != wanted[key] and key != "precision"]
         if differing:
             key = differing[0]
-            raise UserError(
-                f"{part}.{key} must be {made_with.get(key)} as in the checkpoint {path}, got {wanted[key]}"
-            )
+            raise UserError(f"{part}.{key} must be {made_with.get(key)} as in the checkpoint {path}, got {wanted[key]}")
     policy.load_state_dict(tensors)
 
 

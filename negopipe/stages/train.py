@@ -11,6 +11,7 @@ import torch
 from negopipe.env import NegotiationEnv
 from negopipe.learning.acktr import Acktr
 from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
+from negopipe.policy.actor_critic import ActorCritic
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.stages.progress import ProgressLine
@@ -104,7 +105,7 @@ class LearningCurve:
         pd.DataFrame(self.rows).to_csv(path, index=False)
 
 
-def _save(config: "RunConfig", run: "TrackedRun", policy: torch.nn.Module, curve: LearningCurve) -> None:
+def _save(config: "RunConfig", run: "TrackedRun", policy: ActorCritic, curve: LearningCurve) -> None:
     """Keep what a finished stage has reached."""
     row = curve.rows[-1]
     curve.write(run.folder / HISTORY_NAME)

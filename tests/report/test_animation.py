@@ -75,9 +75,7 @@ def test_the_ribbon_is_as_long_as_the_prediction(traces: list[Trace], scene: Sce
     outline = panel.ribbons[0].get_xy()
     assert np.ptp(outline[:, 0]) == pytest.approx(horizon_s * trace.speed_mps[5, 0, 1], abs=1e-4)
     if horizon_s:
-        assert (
-            outline[:, 0].min() < trace.position_m[5, 0, 1, 0] - 1
-        )  # ahead of a vehicle that comes towards us
+        assert outline[:, 0].min() < trace.position_m[5, 0, 1, 0] - 1  # ahead of a vehicle that comes towards us
         half = outline[outline[:, 0].argmin(), 1]
         assert abs(half) <= 1.75 + scene.vehicle_width_m / 2  # on its route
     assert panel.ribbons[0].get_facecolor()[:3] == pytest.approx(

@@ -114,9 +114,7 @@ def test_a_missing_file_names_the_stage_to_run(run: Run, name: str) -> None:
 
 
 def test_a_planner_that_was_not_evaluated_is_named(run: Run) -> None:
-    with pytest.raises(
-        UserError, match=r"planner fixed_3, but traces\.npz holds only: adaptive, fixed_0, fixed_6"
-    ):
+    with pytest.raises(UserError, match=r"planner fixed_3, but traces\.npz holds only: adaptive, fixed_0, fixed_6"):
         report.run(Config(side_by_side=("fixed_3",)), run)
 
 

@@ -1,0 +1,193 @@
+"""The command line: help, errors in one line, exit codes, and what a stopped process leaves behind."""
+
+import json
+import re
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import negopipe.__main__ as entry
+from negopipe.config import RunConfig
+from negopipe.tracking.store import TrackedRun
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Command]:
+    """Runs the command line in this process, in an empty folder: arguments -> exit code, stdout, stderr."""
+    handler = signal.getsignal(signal.SIGTERM)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["negopipe", *arguments])
+        try:
+            code = entry.main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        out, err = capfd.readouterr()
+        return code, out, err
+
+    yield run
+    signal.signal(signal.SIGTERM, handler)
+
+
+def only_line(text: str) -> str:
+    lines = text.splitlines()
+    assert len(lines) == 1, text
+    return lines[0]
+
+
+def replace_stage(monkeypatch: pytest.MonkeyPatch, name: str, run: Callable[..., None]) -> None:
+    module = ModuleType(f"negopipe.stages.{name}")
+    module.run = run  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+
+
+def statuses(outputs: Path) -> dict[str, str]:
+    """Status in the store by seed."""
+    with closing(sqlite3.connect(outputs / "mlflow" / "mlflow.db")) as connection:
+        rows = connection.execute("SELECT name, status FROM runs").fetchall()
+    return {name.split("-")[0]: status for name, status in rows}
+
+
+def test_help_names_the_experiments_and_needs_no_torch() -> None:
+    code = "import sys, negopipe.__main__ as m; sys.argv = ['negopipe', '--help']\ntry: m.main()\n"
+    code += "except SystemExit: print({'torch', 'mlflow', 'negopipe.config'} & set(sys.modules))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    experiments = [path.stem for path in (entry.CONF / "experiment").glob("*.yaml")]
+    shown = re.search(r"^experiment: (.*)$", result.stdout, flags=re.MULTILINE)
+    assert shown is not None
+    assert shown[1].split(", ") == sorted(experiments)
+    assert result.stdout.splitlines()[-1] == "set()"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["planner.foo=1"], "planner.foo is not a known key, allowed: clearance, cost, horizon_s, "),
+        (["+planner.foo=1"], "planner.foo is not a known key, allowed: clearance, cost, horizon_s, "),
+        (["sede=1"], "sede is not a known key, did you mean seed? allowed: algorithm, checkpoint, "),
+        (["+sede=1"], "sede is not a known key, did you mean seed? allowed: algorithm, checkpoint, "),
+        (["planner.horizon_s=-1.0"], "planner.horizon_s must be greater than 0, got -1.0"),
+        (["seed=abc"], "seed must be a valid integer, got abc"),
+        (["device=tpu"], "device must be one of auto, cpu, cuda, got tpu"),
+        (["+experiment=nope"], "experiment must be one of "),
+        (["scenario=nope"], "scenario must be one of narrow_lane, got nope"),
+        (["planner=3"], "Config group override must be a string or a list. Got int, got planner=3"),
+        (["seed=[1"], "seed=[1 cannot be read: "),
+        (["+seed=1"], "Could not append to config. An item is already at 'seed'."),
+        (["seed=1,2"], "Ambiguous value for argument 'seed=1,2'"),
+        (
+            ["checkpoint=nope"],
+            "checkpoint must be an existing file or the id of an MLflow run that saved one, got ",
+        ),
+        (["-m", "seed=1,2", "planner.horizon_s=-1.0"], "planner.horizon_s must be greater than 0, got -1.0"),
+        (["-m", "seed=1,2", "planner.foo=1"], "planner.foo is not a known key, allowed: "),
+        (["-m", "seed=1,2", "+planner.foo=1"], "planner.foo is not a known key, allowed: "),
+        (["-m", "+experiment=yield,nope"], "experiment must be one of "),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_an_error_of_the_user_is_one_line(command: Command, arguments: list[str], line: str) -> None:
+    code, _, err = command(*arguments)
+    assert code == 1
+    assert only_line(err).startswith(line)
+    assert not [path for path in Path.cwd().iterdir() if path.name != "outputs"]
+
+
+def test_different_errors_in_a_sweep_are_all_said(command: Command) -> None:
+    code, _, err = command("-m", "planner.horizon_s=-1.0,-2.0")
+    assert code == 1
+    assert err.splitlines() == [f"planner.horizon_s must be greater than 0, got {x}" for x in ("-1.0", "-2.0")]
+
+
+@pytest.mark.slow
+def test_a_parallel_sweep_says_its_error_once(tmp_path: Path) -> None:
+    launcher = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    call = [sys.executable, "-m", "negopipe", "-m", *launcher, "seed=1,2", "+planner.foo=1"]
+    result = subprocess.run([*call, f"outputs={tmp_path}"], capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert only_line(result.stderr).startswith("planner.foo is not a known key, allowed: ")
+
+
+def test_stages_run_in_order_and_paths_are_shown(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """... and a bug in one of them shows its traceback and leaves a record that says FAILED."""
+    calls = []
+
+    def stage(name: str) -> Callable[..., None]:
+        def run(config: RunConfig, run: TrackedRun) -> None:
+            calls.append((name, config.seed, run.folder.is_dir()))
+            run.update_metrics_json({name: 1})
+            if config.seed == 5:
+                raise ZeroDivisionError("a bug")
+
+        return run
+
+    for name in ("train", "evaluate", "report"):
+        replace_stage(monkeypatch, name, stage(name))
+    code, out, err = command("stages=[evaluate,report]", "seed=4", "outputs=here")
+    assert (code, err) == (0, "")
+    assert calls == [("evaluate", 4, True), ("report", 4, True)]
+    folder = re.search(r"^run +(\S+)$", out, flags=re.MULTILINE)
+    assert folder is not None
+    assert f"{folder[1]}/metrics.json" in out
+    assert [path.name for path in Path.cwd().iterdir()] == ["here"]
+
+    code, out, err = command("stages=[evaluate,report]", "seed=5", "outputs=here")
+    assert code == 1
+    assert "Traceback" in err
+    assert "ZeroDivisionError: a bug" in err
+    assert statuses(Path("here")) == {"seed4": "FINISHED", "seed5": "FAILED"}
+
+
+FOUR_STARTS = """
+import json, os, signal, sys, time, types
+import mlflow.store.tracking.sqlalchemy_store, sqlalchemy.orm, negopipe.config, negopipe.__main__ as entry
+
+sqlalchemy.orm.configure_mappers()
+
+def stage(config, run):
+    os.write(writing, b"r")
+    time.sleep(0 if config.seed == 0 else 60)
+
+sys.modules["negopipe.stages.report"] = types.SimpleNamespace(run=stage)
+reading, writing = os.pipe()
+children = {}
+for seed in (0, signal.SIGINT, signal.SIGKILL, signal.SIGTERM):
+    children[seed] = os.fork()
+    if children[seed] == 0:
+        sys.argv = ["negopipe", "stages=[report]", f"seed={int(seed)}"]
+        sys.exit(entry.main())
+for _ in children:
+    os.read(reading, 1)
+time.sleep(0.2)
+for seed, child in children.items():
+    if seed:
+        os.kill(child, seed)
+codes = {int(seed): os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for seed, child in children.items()}
+print(json.dumps(codes))
+"""
+"""Imports once, then forks four command lines that start at the same moment, in an empty folder. Each says
+when its stage runs; then they get the signal that their seed is the number of."""
+
+
+def test_four_processes_start_at_once_and_end_in_four_ways(tmp_path: Path) -> None:
+    call = [sys.executable, "-c", FOUR_STARTS]
+    result = subprocess.run(call, capture_output=True, text=True, check=True, cwd=tmp_path)
+    codes = json.loads(result.stdout.splitlines()[-1])
+    assert codes == {"0": 0, str(int(signal.SIGINT)): 130, str(int(signal.SIGKILL)): -9, "15": 143}
+    assert only_line(result.stderr) == "interrupted"
+    assert statuses(tmp_path / "outputs") == {
+        "seed0": "FINISHED",
+        f"seed{signal.SIGINT:d}": "KILLED",
+        f"seed{signal.SIGTERM:d}": "KILLED",
+        f"seed{signal.SIGKILL:d}": "RUNNING",  # the next start closes it (tracking/test_store.py)
+    }

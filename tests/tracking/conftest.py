@@ -1,0 +1,31 @@
+"""A store that the tests of a module share: creating one takes MLflow a second or two."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from negopipe.tracking.store import TrackingConfig
+
+TRACKING = TrackingConfig(
+    uri=None, experiment="tests", registered_model=None, n_metrics_per_flush=1000, flush_period_s=3600.0
+)
+
+
+@dataclass(frozen=True)
+class Config:
+    """The part of the root config that tracking sees."""
+
+    outputs: str
+    name: str = "case"
+    tracking: TrackingConfig = field(default=TRACKING)
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Config:
+    return Config(outputs=str(tmp_path_factory.mktemp("outputs")))
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Config:
+    return Config(outputs=str(tmp_path / "outputs"))
