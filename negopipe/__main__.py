@@ -103,7 +103,7 @@ def _prepare_torch(config: "RunConfig") -> None:
     if config.device != "cpu" and has_cuda:  # on the CPU torch repeats itself anyway
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
-        torch.utils.deterministic.fill_uninitialized_memory = False
+        torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
 
 
 def _note_failure(error: Exception) -> None:

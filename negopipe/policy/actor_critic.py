@@ -12,8 +12,9 @@ from negopipe.errors import UserError
 from negopipe.schema import NonNegativeFloat, PositiveInt, schema
 
 HIDDEN_GAIN = math.sqrt(2)
-POLICY_GAIN = 0.01
-"""Gain of the policy's last layer: small, so that the first policy is close to uniform."""
+LAST_GAIN = 0.01
+"""Gain of both heads' last layers: small, so that the first policy is close to uniform and the first values
+are close to equal. Values that start as noise are unlearned by shrinking the shared encoder, which can kill it."""
 
 
 @schema
@@ -110,8 +111,8 @@ class ActorCritic(nn.Module):
                 nn.init.orthogonal_(layer.weight, HIDDEN_GAIN, generator=generator)
                 nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
         with torch.no_grad():
-            self.policy_head[-1].weight.mul_(POLICY_GAIN / HIDDEN_GAIN)  # type: ignore[operator,union-attr]
-            self.value_head[-1].weight.mul_(1 / HIDDEN_GAIN)  # type: ignore[operator,union-attr]
+            for head in (self.policy_head, self.value_head):
+                head[-1].weight.mul_(LAST_GAIN / HIDDEN_GAIN)  # type: ignore[operator,union-attr]
 
 
 class GridEncoder(nn.Module):

@@ -6,6 +6,8 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
+from negopipe.tracking.database import database_path
+
 CHARTS = "#/experiments/{}/runs?workflowType=machine_learning&compareRunsMode=CHART"
 """The page of an experiment that opens on the charts of all its runs; MLflow's start page is another one."""
 
@@ -20,17 +22,17 @@ def chart_addresses(database: Path, port: int) -> dict[str, str]:
 
 def main(outputs: str, port: str) -> None:
     """Print where the charts are, then become the server."""
-    database = Path(outputs).absolute() / "mlflow" / "mlflow.db"
+    database = database_path(Path(outputs))
     if not database.exists():
         sys.exit(f"no runs are recorded under {outputs} yet: try make yield")
     print("The dashboard is ready in some seconds; Ctrl-C stops it. Charts:")
     for name, address in chart_addresses(database, int(port)).items():
         print(f"  {name}: {address}", flush=True)
     os.environ["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] = "false"  # schedulers for traces, of which there are none
-    address = ["--host", "127.0.0.1", "--port", port]
+    place = ["--host", "127.0.0.1", "--port", port]
     store = ["--backend-store-uri", f"sqlite:///{database}"]
     quiet = ["--workers", "1", "--uvicorn-opts", "--log-level warning"]
-    os.execv(sys.executable, [sys.executable, "-m", "mlflow", "server", *address, *store, *quiet])
+    os.execv(sys.executable, [sys.executable, "-m", "mlflow", "server", *place, *store, *quiet])
 
 
 if __name__ == "__main__":

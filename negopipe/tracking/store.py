@@ -4,7 +4,6 @@ A run folder belongs to one process at a time (`<folder>/.lock`). The lock also 
 that says RUNNING while nobody holds its folder was left by a dead process, and the next start closes it.
 """
 
-import logging
 import os
 import re
 import socket
@@ -19,6 +18,7 @@ from filelock import FileLock, Timeout
 
 from negopipe.errors import UserError
 from negopipe.schema import PositiveFloat, PositiveInt, schema
+from negopipe.tracking.database import artifact_location, connect, database_path, store_lock
 from negopipe.tracking.metrics_file import merge_into
 
 if TYPE_CHECKING:
@@ -64,13 +64,14 @@ def open_run(config: StoreConfig, run_name: str, resolved: dict[str, Any]) -> It
     The record ends as FINISHED, as FAILED on an exception, and as KILLED when the process is told to stop.
     Raises UserError if another process holds the folder or the store cannot be opened.
     """
-    folder = Path(config.outputs).absolute() / config.name / run_name
+    outputs = Path(config.outputs).absolute()
+    folder = outputs / config.name / run_name
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / ".lock", blocking=False)
     try:
-        with _store_lock(config):  # folders change hands only here, so looking for dead runs disturbs nobody
+        with store_lock(outputs):  # folders change hands only here, so looking for dead runs disturbs nobody
             _hold(lock, folder)
-            client = _connect(config)
+            client = connect(outputs, config.tracking.uri)
             _close_dead_runs(client, own_folder=folder)
             run = _create_run(client, config, folder)
         with _final_status(run):
@@ -82,10 +83,11 @@ def open_run(config: StoreConfig, run_name: str, resolved: dict[str, Any]) -> It
 
 def find_store(config: StoreConfig) -> "MlflowClient | None":
     """A client of the store, or None if no run has been recorded under `outputs` yet."""
-    if config.tracking.uri is None and not _database(config).exists():
+    outputs, uri = Path(config.outputs), config.tracking.uri
+    if uri is None and not database_path(outputs).exists():
         return None
-    with _store_lock(config):
-        return _connect(config)
+    with store_lock(outputs):
+        return connect(outputs, uri)
 
 
 class TrackedRun:
@@ -232,62 +234,15 @@ def _hold(lock: FileLock, folder: Path) -> None:
         raise UserError(f"the run folder {folder} is in use by another process: {hint}") from error
 
 
-def _home(config: StoreConfig) -> Path:
-    return Path(config.outputs).absolute() / "mlflow"
-
-
-def _database(config: StoreConfig) -> Path:
-    return _home(config) / "mlflow.db"
-
-
-def _store_lock(config: StoreConfig) -> FileLock:
-    """Held while a process opens the store: MLflow's first start on an empty database is not safe for two."""
-    _home(config).mkdir(parents=True, exist_ok=True)
-    return FileLock(_home(config) / "store.lock")
-
-
-def _connect(config: StoreConfig) -> "MlflowClient":
-    from mlflow import MlflowClient
-    from mlflow.exceptions import MlflowException
-    from mlflow.tracking import set_tracking_uri
-
-    for logger in ("mlflow", "alembic"):
-        logging.getLogger(logger).setLevel(logging.WARNING)
-    uri = config.tracking.uri or f"sqlite:///{_database(config)}"
-    is_new = config.tracking.uri is None and not _database(config).exists()
-    try:
-        set_tracking_uri(uri)  # the model registry asks for it behind the client's back
-        client = MlflowClient()
-    except MlflowException as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(f"tracking.uri must be a store that MLflow can open, got {uri}: {reason}") from error
-    if is_new:
-        _use_write_ahead_log(_database(config))
-    return client
-
-
-def _use_write_ahead_log(database: Path) -> None:
-    """Readers no longer block the writer, and a write costs a third; the setting stays with the file."""
-    import sqlite3
-    from contextlib import closing
-
-    with closing(sqlite3.connect(database)) as connection:
-        connection.execute("PRAGMA journal_mode=WAL")
-
-
 def _create_run(client: "MlflowClient", config: StoreConfig, folder: Path) -> TrackedRun:
     name = config.tracking.experiment
     found = client.get_experiment_by_name(name)
-    experiment_id = found.experiment_id if found else client.create_experiment(name, _artifacts(config))
+    is_served = (config.tracking.uri or "").startswith(("http:", "https:"))  # and has a place of its own
+    location = None if is_served else artifact_location(Path(config.outputs))
+    experiment_id = found.experiment_id if found else client.create_experiment(name, location)
     tags = {_HOST_TAG: socket.gethostname(), _PID_TAG: str(os.getpid()), _FOLDER_TAG: str(folder)}
     record = client.create_run(experiment_id, tags=tags, run_name=folder.name)
     return TrackedRun(client, config.tracking, folder, record.info.run_id, experiment_id)
-
-
-def _artifacts(config: StoreConfig) -> str | None:
-    """Artifact location of a new experiment: beside the database; a tracking server has its own."""
-    is_served = (config.tracking.uri or "").startswith(("http:", "https:"))
-    return None if is_served else (_home(config) / "artifacts").as_uri()
 
 
 def _close_dead_runs(client: "MlflowClient", own_folder: Path) -> None:

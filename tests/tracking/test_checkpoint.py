@@ -1,6 +1,8 @@
 """Checkpoints come back as they were written, and a wrong reference is explained in one line."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -75,6 +77,20 @@ def test_a_reference_is_a_path_or_the_newest_checkpoint_of_a_run(config: StoreCo
     for unknown in ("nowhere.safetensors", "0" * 32, str(run.folder)):
         with pytest.raises(UserError, match=f"^checkpoint must be an existing file or .*, got {unknown}$"):
             find_checkpoint(unknown, config)
+
+
+def test_a_moved_outputs_folder_keeps_its_checkpoints_and_takes_new_ones(empty: Any) -> None:
+    with open_run(empty, "seed1-b", {}) as early:
+        save_checkpoint(early.folder / CHECKPOINT_NAME, {"a": torch.ones(1)}, {"step": 1})
+        early.log_checkpoint(early.folder / CHECKPOINT_NAME, 1, {})
+    moved = replace(empty, outputs=f"{empty.outputs}-moved")
+    Path(empty.outputs).rename(moved.outputs)
+    assert find_checkpoint(early.run_id, moved).is_relative_to(moved.outputs)
+    with open_run(moved, "seed2-b", {}) as late:
+        save_checkpoint(late.folder / CHECKPOINT_NAME, {"a": torch.ones(1)}, {"step": 2})
+        late.log_checkpoint(late.folder / CHECKPOINT_NAME, 2, {})
+    assert find_checkpoint(late.run_id, moved).is_relative_to(moved.outputs)
+    assert not Path(empty.outputs).exists()
 
 
 def test_looking_for_a_run_makes_no_store(empty: StoreConfig) -> None:

@@ -204,6 +204,23 @@ def test_the_dashboard_lists_experiments_latest_first(config: StoreConfig) -> No
     assert addresses["late"].startswith("http://127.0.0.1:5001/#/experiments/")
 
 
+def test_a_first_start_that_is_killed_does_not_spoil_the_store(
+    empty: StoreConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def die(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as killed:
+        killed.setattr("os.replace", die)  # the tables are made by then
+        with pytest.raises(KeyboardInterrupt), open_run(empty, "seed1-n", {}):
+            pass
+    assert find_store(empty) is None
+    with open_run(empty, "seed1-n", {}) as run:
+        pass
+    assert record_of(empty, run).info.status == "FINISHED"
+    assert not list(Path(empty.outputs).rglob("*.draft"))
+
+
 def test_a_first_start_is_quiet_and_stays_in_outputs(
     empty: StoreConfig, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

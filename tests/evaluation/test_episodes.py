@@ -1,0 +1,110 @@
+"""Evaluation episodes: outcomes, records that agree with the simulator, and no dependence on the batch size."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+from games import draw_tasks
+
+from negopipe.config import RunConfig
+from negopipe.driver import fixed_horizon
+from negopipe.env import Game
+from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.planners import adaptive_planner, fixed_planners
+from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.policy.actor_critic import grid_actor_critic
+from negopipe.simulation.state import Task
+
+
+def task_with(config: RunConfig, distance_m: float, style_s: float, n: int = 1) -> Task:
+    task = draw_tasks(config, n)
+    distance, style = task.start_distance.clone(), task.style_horizon.clone()
+    distance[:, 1], style[:, 1] = distance_m, style_s
+    return replace(task, start_distance=distance, style_horizon=style)
+
+
+def drive(config: RunConfig, game: Game, task: Task, horizon_s: float, n_worlds: int) -> Trace:
+    reward = config.evaluation.reward
+    return drive_episodes(game, fixed_horizon(horizon_s), task, n_worlds, reward, (f"fixed_{horizon_s:g}", "x"))
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "style_s", "ego_s", "outcome"),
+    [
+        (13.0, 2.0, 6.0, "success"),  # the pushy one first, the careful one waits
+        (17.5, 6.0, 0.0, "success"),
+        (13.0, 0.0, 0.0, "collision"),
+        (13.0, 2.0, 2.0, "deadlock"),
+        (17.5, 6.0, 6.0, "deadlock"),
+    ],
+)
+def test_two_alike_fail_two_unlike_succeed(
+    config: RunConfig, game: Game, distance_m: float, style_s: float, ego_s: float, outcome: str
+) -> None:
+    trace = drive(config, game, task_with(config, distance_m, style_s), ego_s, n_worlds=1)
+    assert OUTCOMES[int(trace.outcome[0])] == outcome
+    n, end = int(trace.n_steps[0]), {"success": 9.75, "collision": -5.25}.get(outcome, -0.25)
+    assert trace.reward[: n - 1, 0].tolist() == [-0.25] * (n - 1)
+    assert trace.reward[n - 1, 0] == end
+    assert (trace.reward[n:] == 0).all()
+    assert n == config.scenario.episode_steps or outcome in ("success", "collision")
+
+
+def test_records_are_those_of_the_drive(config: RunConfig, game: Game) -> None:
+    trace = drive(config, game, task_with(config, 17.5, 6.0), 0.0, n_worlds=1)
+    n = int(trace.n_steps[0])
+    assert trace.position_m.shape == (config.scenario.episode_steps + 1, 1, 2, 2)
+    assert trace.horizon_s.shape == (config.scenario.episode_steps, 1, 2)
+    moved = np.diff(trace.progress_m[: n + 1, 0, 0])
+    mean_speed = (trace.speed_mps[:n, 0, 0] + trace.speed_mps[1 : n + 1, 0, 0]) / 2
+    assert np.abs(moved - mean_speed * trace.dt_s).max() < 0.1
+    assert (trace.horizon_s[:n, 0] == [0.0, 6.0]).all()
+    assert np.isnan(trace.horizon_s[n:]).all()
+    reached = trace.reached_step[0]
+    target = config.scenario.road.corridor_length_m + config.scenario.road.target_distance_m
+    for vehicle in range(2):
+        assert (
+            trace.progress_m[reached[vehicle], 0, vehicle]
+            >= target
+            > trace.progress_m[reached[vehicle] - 1, 0, vehicle]
+        )
+    assert max(reached) == n
+    assert (trace.position_m[n:] == trace.position_m[n]).all()
+
+
+def test_outcomes_do_not_depend_on_batch_size(config: RunConfig, game: Game) -> None:
+    task = draw_tasks(config, 10, seed=4)
+    one_batch, in_parts = (drive(config, game, task, 6.0, n) for n in (10, 4))
+    for field in fields(Trace)[3:]:
+        a, b = getattr(one_batch, field.name), getattr(in_parts, field.name)
+        if a.dtype == bool or a.dtype.kind == "i":
+            assert np.array_equal(a, b), field.name
+        else:
+            assert np.allclose(a, b, atol=1e-3, equal_nan=True), field.name
+
+
+def test_adaptive_planner_looks_at_the_grids(config: RunConfig, game: Game) -> None:
+    policy = grid_actor_critic(
+        config.policy, game.observation_shape, torch.device("cpu"), torch.Generator().manual_seed(0)
+    )
+    with torch.no_grad():
+        policy.policy_head[-1].bias.copy_(torch.tensor([0.0, 0.0, 100.0, 0.0]))
+    task = task_with(config, 17.5, 6.0)
+    choose = adaptive_planner(policy, game, config.policy.horizons_s, sampling=None)
+    reward = config.evaluation.reward
+    adaptive = drive_episodes(game, choose, task, 1, reward, ("adaptive", "x"))
+    fixed = drive(config, game, task, 4.0, 1)
+    assert np.array_equal(adaptive.position_m, fixed.position_m)
+    with torch.no_grad():
+        policy.policy_head[-1].bias.zero_()
+    sampling = torch.Generator().manual_seed(0)
+    drawn = drive_episodes(
+        game, adaptive_planner(policy, game, config.policy.horizons_s, sampling), task, 1, reward, ("adaptive", "x")
+    )
+    n = int(drawn.n_steps[0])
+    assert set(drawn.horizon_s[:n, 0, 0].tolist()) == {0.0, 2.0, 4.0, 6.0}
+
+
+def test_fixed_planners_are_named_for_their_horizon(config: RunConfig) -> None:
+    assert list(fixed_planners(config.evaluation.fixed_horizons_s)) == ["fixed_0", "fixed_2", "fixed_4", "fixed_6"]

@@ -1,0 +1,110 @@
+"""The whole line at tiny size: files, store, repeatability, a stage alone."""
+
+import json
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+PLANNERS = {"adaptive", "fixed_0", "fixed_2", "fixed_4", "fixed_6"}
+MEASURES = {"success_rate", "collision_rate", "timeout_rate", "driving_time_s", "suspend_count", "reward"}
+
+
+def negopipe(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "negopipe", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def only_run(outputs: Path) -> Path:
+    (folder,) = (outputs / "smoke").iterdir()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("outputs")
+    done = negopipe("+experiment=smoke", f"outputs={folder}", "n_threads=1")
+    assert done.returncode == 0, done.stderr
+    assert "left" in done.stdout  # progress
+    return folder
+
+
+def without_durations(metrics: dict[str, Any]) -> dict[str, Any]:
+    assert metrics["train"].pop("wall_s") > 0
+    assert metrics["train"].pop("decisions_per_s") > 0
+    return metrics
+
+
+def test_run_folder_has_what_programs_read(outputs: Path) -> None:
+    folder = only_run(outputs)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["train"]["decisions"] == 6 * 4 * 8
+    assert set(metrics["evaluation"]) == {"push", "yield"}
+    for planners in metrics["evaluation"].values():
+        assert set(planners) == PLANNERS
+        assert all(set(measures) >= MEASURES for measures in planners.values())
+    table = pd.read_csv(folder / "episodes.csv")
+    assert len(table) == 2 * len(PLANNERS) * 4
+    history = pd.read_csv(folder / "history.csv")
+    assert history["stage"].tolist() == ["apart"] * 2 + ["closer"] * 2 + ["full"] * 2
+    assert {"kl", "entropy", "value_loss", "policy_loss"} <= set(history.columns)
+    for name in ("report.html", "checkpoint.safetensors", "config.yaml", "traces.npz"):
+        assert (folder / name).stat().st_size > 0
+
+
+def test_every_planner_met_the_same_tasks(outputs: Path) -> None:
+    table = pd.read_csv(only_run(outputs) / "episodes.csv")
+    for _, rows in table.groupby(["setting", "episode"]):
+        assert rows["social_start_distance_m"].nunique() == 1
+        assert rows["style_horizon_s"].nunique() == 1
+
+
+def test_store_has_the_run(outputs: Path) -> None:
+    with closing(sqlite3.connect(outputs / "mlflow" / "mlflow.db")) as connection:
+        ((status,),) = connection.execute("SELECT status FROM runs").fetchall()
+        keys = {key for (key,) in connection.execute("SELECT key FROM metrics")}
+    assert status == "FINISHED"
+    assert {"train/kl", "train/policy_loss", "evaluation/push/adaptive/success_rate"} <= keys
+    artifacts = {path.name for path in (outputs / "mlflow" / "artifacts").rglob("*")}
+    assert {"config.yaml", "checkpoint.safetensors", "report.html", "metrics.json", "episodes.csv"} <= artifacts
+
+
+def test_same_seed_same_numbers(outputs: Path, tmp_path: Path) -> None:
+    done = negopipe("+experiment=smoke", f"outputs={tmp_path}", "n_threads=1", "stages=[train,evaluate]")
+    assert done.returncode == 0, done.stderr
+    first, again = (json.loads((only_run(o) / "metrics.json").read_text()) for o in (outputs, tmp_path))
+    assert without_durations(first) == without_durations(again)
+    assert only_run(outputs).name == only_run(tmp_path).name
+    for name in ("episodes.csv", "checkpoint.safetensors"):
+        assert (only_run(outputs) / name).read_bytes() == (only_run(tmp_path) / name).read_bytes()
+
+
+def test_evaluation_alone_from_a_checkpoint(outputs: Path, tmp_path: Path) -> None:
+    checkpoint = only_run(outputs) / "checkpoint.safetensors"
+    done = negopipe(
+        "+experiment=smoke",
+        f"outputs={tmp_path}",
+        "n_threads=1",
+        "stages=[evaluate]",
+        f"checkpoint={checkpoint}",
+        "evaluation.fixed_horizons_s=[]",
+    )
+    assert done.returncode == 0, done.stderr
+    first, again = (json.loads((only_run(o) / "metrics.json").read_text()) for o in (outputs, tmp_path))
+    for setting in ("push", "yield"):
+        assert first["evaluation"][setting]["adaptive"] == again["evaluation"][setting]["adaptive"]
+    other_network = negopipe(
+        "+experiment=smoke",
+        f"outputs={tmp_path}",
+        "stages=[evaluate]",
+        f"checkpoint={checkpoint}",
+        "policy.encoder_width=64",
+    )
+    assert other_network.returncode == 1
+    assert other_network.stderr.startswith("policy.encoder_width must be 512 as in the checkpoint")
+    assert len(other_network.stderr.splitlines()) == 1
