@@ -162,7 +162,7 @@ class Acktr:
             "policy_loss": policy_loss.detach(),
             "value_loss": value_loss.detach(),
             "entropy": entropy.detach(),
-            **self._descend(gradient, shrink, probe, log_prob[: len(probe)].detach()),
+            **self._descend(gradient, shrink, probe, (log_prob[: len(probe)].detach(), value[: len(probe)].detach())),
         }
 
     def _gradient(self, loss: Tensor) -> dict[str, Tensor]:
@@ -171,27 +171,35 @@ class Acktr:
         return {name: layer_gradient(layer) for name, layer in self.kfac.layers.items()}
 
     def _descend(
-        self, gradient: dict[str, Tensor], shrink: float, probe: Tensor, old_log_prob: Tensor
+        self, gradient: dict[str, Tensor], shrink: float, probe: Tensor, old: tuple[Tensor, Tensor]
     ) -> dict[str, Tensor]:
         """Move the parameters within both trust regions; a gradient that is zero or not finite moves nothing.
 
-        probe: observations [n, *obs] on which the KL is measured, old_log_prob: [n, A] before the step
+        probe: observations [n, *obs] on which the KL is measured
+        old: log-probabilities [n, A] and values [n] there, before the step
         """
         norm = inner(gradient, gradient)
         if not (self.kfac.is_ready and bool(norm.isfinite()) and bool(norm > 0)):
             self.n_skipped += 1
-            return dict.fromkeys(("kl", "policy_step", "value_step"), torch.zeros_like(norm))
+            return dict.fromkeys(("kl", "value_kl", "policy_step", "value_step"), torch.zeros_like(norm))
         self.momentum, v = self._direction(gradient)
         value_head = [name for name in v if name.startswith("value_head")]
         others = [name for name in v if not name.startswith("value_head")]
         value_step = self._move(v, value_head, self.config.value_kl_clip, shrink)
         policy_step = self._move(v, others, self.config.kl_clip, shrink)
-        kl = self._measure_kl(probe, old_log_prob)
-        if not kl <= self.config.kl_clip:
-            excess = policy_step * torch.where(kl.isfinite(), 1 - (self.config.kl_clip / kl).sqrt(), 1.0)
-            self._add(v, others, excess)
-            policy_step, kl = policy_step - excess, self._measure_kl(probe, old_log_prob)
-        return {"kl": kl, "policy_step": policy_step, "value_step": value_step}
+        kl, value_kl = self._measure_kl(probe, old)
+        value_share = shortening(value_kl, self.config.value_kl_clip)
+        policy_share = torch.minimum(shortening(kl, self.config.kl_clip), value_share)
+        if policy_share < 1:
+            self._add(v, value_head, value_step * (1 - value_share))
+            self._add(v, others, policy_step * (1 - policy_share))
+            kl, value_kl = self._measure_kl(probe, old)
+        return {
+            "kl": kl,
+            "value_kl": value_kl,
+            "policy_step": policy_step * policy_share,
+            "value_step": value_step * value_share,
+        }
 
     def _move(self, v: dict[str, Tensor], names: list[str], kl_clip: float, shrink: float) -> Tensor:
         """Step along -v in some layers, within a trust region of their own; returns eta."""
@@ -205,8 +213,11 @@ class Acktr:
             add_to_layer(self.kfac.layers[name], eta * v[name])
 
     @torch.no_grad()
-    def _measure_kl(self, observation: Tensor, old_log_prob: Tensor) -> Tensor:
-        return kl_divergence(old_log_prob, self.policy(observation)[0].log_softmax(-1))
+    def _measure_kl(self, observation: Tensor, old: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        """KL(old || new) of the actions and of the unit Gaussians around the normalised values, nat."""
+        logits, value = self.policy(observation)
+        value_kl = 0.5 * ((value - old[1]) / self.policy.value_std).square().mean()
+        return kl_divergence(old[0], logits.log_softmax(-1)), value_kl
 
     def _direction(self, gradient: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The new momentum and its natural gradient, a descent direction."""
@@ -224,7 +235,8 @@ class Acktr:
         self.return_moments = self.return_moments.to(moments).lerp(moments, 1 - decay)
         self.n_rollouts += 1
         mean, mean_square = self.return_moments
-        self.policy.rescale_value(mean, (mean_square - mean.square()).clamp(min=STD_MIN**2).sqrt())
+        std = (mean_square - mean.square()).clamp(min=STD_MIN**2).sqrt()
+        self.policy.rescale_value(mean, std, keep_value=self.n_rollouts > 1)
 
 
 def fisher_loss(policy: ActorCritic, observation: Tensor, generator: Generator) -> Tensor:
@@ -243,6 +255,11 @@ def fisher_loss(policy: ActorCritic, observation: Tensor, generator: Generator) 
 def trust_region_step(quadratic: Tensor, kl_clip: float, learning_rate: float) -> Tensor:
     """eta = min(eta_max, sqrt(2 delta / v^T F v)) for quadratic = v^T F v >= 0."""
     return (2 * kl_clip / quadratic.clamp(min=torch.finfo(torch.float32).tiny)).sqrt().clamp(max=learning_rate)
+
+
+def shortening(kl: Tensor, kl_clip: float) -> Tensor:
+    """The share of a step of measured `kl` that keeps to `kl_clip`, for a KL quadratic in the step; 0 if NaN."""
+    return torch.where(kl.isfinite(), (kl_clip / kl.clamp(min=kl_clip)).sqrt(), 0.0)
 
 
 def kl_divergence(old: Tensor, new: Tensor) -> Tensor:

@@ -96,12 +96,16 @@ class ActorCritic(nn.Module):
         return logits, self.value_mean + self.value_std * value
 
     @torch.no_grad()
-    def rescale_value(self, mean: Tensor, std: Tensor) -> None:
-        """Set value_mean and value_std and adapt the last layer: V stays the same (van Hasselt 2016)."""
+    def rescale_value(self, mean: Tensor, std: Tensor, keep_value: bool) -> None:
+        """Set value_mean and value_std.
+
+        keep_value: adapt the last layer, so that V stays the same (van Hasselt 2016); else V moves along
+        """
         last = self.value_head[-1]
         assert isinstance(last, nn.Linear)
-        last.weight.mul_(self.value_std / std)
-        last.bias.mul_(self.value_std / std).add_((self.value_mean - mean) / std)
+        if keep_value:
+            last.weight.mul_(self.value_std / std)
+            last.bias.mul_(self.value_std / std).add_((self.value_mean - mean) / std)
         self.value_mean.copy_(mean)
         self.value_std.copy_(std)
 
