@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+"""Threads of torch that wait sleep: where the cores are shared, spinning ones made an iteration three times slower.
+Read when torch is imported, which happens later."""
+
 FAILURES = "NEGOPIPE_FAILURES"
 """Environment variable: the file in which the jobs of a command note why they failed. An exception would not
 do: Hydra prints a line of its own about a job that raises, and of a sweep it tells the first failure only."""

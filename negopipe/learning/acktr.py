@@ -17,7 +17,8 @@ Decisions
     Momentum is taken over gradients, before the preconditioning, so that the step that is bounded is the step
     that is made. Where it points uphill, v^T grad L <= 0, it is dropped.
     F_hat knows nothing of how layers act together and underestimates the KL several times over. So the KL of
-    the step is measured, and where it exceeds delta the step is shortened by sqrt(delta / KL).
+    the step is measured, and where it exceeds delta the step is shortened by sqrt(delta / KL). The value's is
+    measured too: without that, value errors of the first updates can shrink the encoder's features to nothing.
     Scale. Returns are normalised by their running mean and spread sigma (the network's last layer is rescaled
     so that V does not change), advantages by the spread within the rollout.
 """
@@ -49,7 +50,7 @@ class AcktrConfig:
     learning_rate: eta_max
     final_step_share: the steps shrink linearly with the progress of training, to this share at its end
     kl_clip: delta of the policy, an upper bound of an update's KL(old || new)
-    value_kl_clip: the same for the value head, in half squared standard deviations of the return
+    value_kl_clip: the same for the value, in half squared standard deviations of the return
     momentum: mu
     value_coefficient, entropy_coefficient: c_V, c_H
     return_decay: weight of the old return statistics when a rollout comes in; smaller at the start
@@ -112,8 +113,9 @@ class Acktr:
 
         progress: share of the training that is done, 0 to 1; the steps shrink with it
         Returns the means over the minibatches: policy_loss, value_loss (half squared standard deviations),
-        entropy (nat), kl (measured KL(old || new), nat), explained_variance (of the returns by V before the
-        update), policy_step and value_step (eta), and n_skipped, the updates and statistics skipped so far.
+        entropy (nat), kl and value_kl (measured KL(old || new) of policy and value, nat), policy_step and
+        value_step (eta), explained_variance (of the returns by V before the update), and n_skipped, the
+        updates, statistics and inversions skipped so far.
         """
         advantage, returns = k_step_advantage(rollout, self.config.gamma, self.config.n_return_steps)
         self._track_returns(returns)
