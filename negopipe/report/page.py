@@ -110,7 +110,7 @@ def build_page(
     environment.filters["data_uri"] = data_uri
     return environment.get_template("template.html.j2").render(
         name=name,
-        headlines=[headline(setting, evaluation[setting]) for setting in settings],
+        headlines=headlines({setting: evaluation[setting] for setting in settings}),
         tables=[_table(setting, evaluation[setting]) for setting in settings],
         sections=sections,
         provenance=provenance,
@@ -120,6 +120,37 @@ def build_page(
 def settings_in_order(evaluation: Mapping[str, Any], leading: str) -> list[str]:
     """The leading setting first, the others as they come."""
     return sorted(evaluation, key=lambda setting: setting != leading)
+
+
+def headlines(evaluation: Mapping[str, Mapping[str, Measures]]) -> list[tuple[str, str]]:
+    """The result over all settings, if there are several, then setting by setting."""
+    by_setting = [headline(setting, measures) for setting, measures in evaluation.items()]
+    planners = list(next(iter(evaluation.values())))
+    if len(evaluation) < 2 or len(planners) < 2:
+        return by_setting
+    return [_overall(evaluation, [planner for planner in planners if planner != ADAPTIVE]), *by_setting]
+
+
+def _overall(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[str]) -> tuple[str, str]:
+    """Who gets through whatever comes: every planner is taken by its weakest setting."""
+
+    def weakest(planner: str) -> str:
+        return min(evaluation, key=lambda setting: evaluation[setting][planner]["success_rate"])
+
+    def measured(planner: str) -> Measures:
+        return evaluation[weakest(planner)][planner]
+
+    best = max(rivals, key=lambda planner: measured(planner)["success_rate"])
+    ours, theirs = measured(ADAPTIVE), measured(best)
+    is_ahead = ours["success_rate"] - theirs["success_rate"] > 2 * _standard_error(ours, theirs)
+    verdict = "beats" if is_ahead else "does not beat"
+    figures = (
+        f"{planner_label(planner).capitalize()} succeeds in at least "
+        f"{100 * measured(planner)['success_rate']:.1f} % of the episodes ({weakest(planner)})"
+        for planner in (ADAPTIVE, best)
+    )
+    text = f"{'; '.join(figures)}, the best of the others."
+    return f"Over all settings the adaptive planner {verdict} every other one.", text
 
 
 def headline(setting: str, measures: Mapping[str, Measures]) -> tuple[str, str]:

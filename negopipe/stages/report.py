@@ -29,7 +29,7 @@ from negopipe.report.page import (
     ReportConfig,
     Section,
     build_page,
-    headline,
+    headlines,
     settings_in_order,
 )
 from negopipe.simulation.road import Road
@@ -95,7 +95,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
         if any(gallery.folder.iterdir()):
             run.log_artifact(gallery.folder, gallery.folder.name)
     run.log_artifact(run.folder / "report.html")
-    run.set_description("\n\n".join(" ".join(headline(setting, evaluation[setting])) for setting in settings))
+    run.set_description("\n\n".join(" ".join(lines) for lines in headlines(evaluation)))
     log.info("report: %s", run.folder / "report.html")
 
 

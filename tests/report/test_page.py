@@ -18,6 +18,7 @@ from negopipe.report.page import (
     build_page,
     data_uri,
     headline,
+    headlines,
     settings_in_order,
 )
 
@@ -153,3 +154,27 @@ def test_config_file_is_valid_and_wrong_values_are_not() -> None:
     for wrong in ({"animation_fps": 0}, {"figure_formats": ["gif"]}, {"n_animations": -1}, {"dpi": 200}):
         with pytest.raises(ValidationError):
             adapter.validate_json(json.dumps(values | wrong), strict=True)
+
+
+def test_first_headline_is_about_all_settings() -> None:
+    evaluation = {
+        "yield": {
+            "adaptive": measures(0.97, 0.0, 14.0),
+            "fixed_0": measures(0.0, 1.0, None),
+            "fixed_6": measures(1.0, 0.0, 14.0),
+        },
+        "push": {
+            "adaptive": measures(1.0, 0.0, 8.0),
+            "fixed_0": measures(1.0, 0.0, 8.0),
+            "fixed_6": measures(0.1, 0.0, 15.0),
+        },
+    }
+    (verdict, detail), *others = headlines(evaluation)
+    assert "beats every other one" in verdict
+    assert "Adaptive succeeds in at least 97.0 % of the episodes (yield)" in detail
+    detail = detail.replace("\N{NO-BREAK SPACE}", " ")
+    assert "Fixed 6 s succeeds in at least 10.0 % of the episodes (push)" in detail
+    assert [verdict.split(":")[0] for verdict, _ in others] == ["Yield", "Push"]
+    evaluation["push"]["fixed_6"] = measures(0.99, 0.0, 15.0)
+    assert "does not beat" in headlines(evaluation)[0][0]
+    assert len(headlines({"yield": evaluation["yield"]})) == 1
