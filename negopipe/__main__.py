@@ -84,13 +84,15 @@ def run_stages(composed: DictConfig) -> None:
 
     config = load(composed)
     _prepare_torch(config)
+    # all code is loaded now, so that what is edited during a long run does not end up in it
+    stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
         find_checkpoint(config.checkpoint, config)  # before there is a run that could only fail
     with open_run(config, run_name(config), as_mapping(config)) as run:
         run.set_tags({"overrides": " ".join(HydraConfig.get().overrides.task)})
         log.info("run        %s", _shown(run.folder))
-        for stage in config.stages:
-            importlib.import_module(f"negopipe.stages.{stage}").run(config, run)
+        for stage in stages:
+            stage.run(config, run)
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _shown(run.folder / file_name))
