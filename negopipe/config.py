@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -11,8 +11,10 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from negopipe.config_errors import explain_composition, explain_validation
 from negopipe.errors import UserError
+from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
 from negopipe.evaluation.planners import fixed_name
+from negopipe.evaluation.speed import BenchmarkConfig
 from negopipe.learning.acktr import AcktrConfig
 from negopipe.learning.curriculum import CurriculumConfig
 from negopipe.observation.occupancy_grid import ObservationConfig
@@ -24,7 +26,7 @@ from negopipe.schema import NonNegativeInt, PositiveInt, schema
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.tracking.store import TrackingConfig
 
-Stage = Literal["train", "evaluate", "report"]
+Stage = Literal["train", "evaluate", "report", "behaviour_map", "benchmark"]
 FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 RESULT_NEUTRAL = {"name", "seed", "outputs", "stages", "n_threads", "report", "tracking"}
@@ -53,8 +55,10 @@ class RunConfig:
     algorithm: AcktrConfig
     curriculum: CurriculumConfig
     evaluation: EvaluationConfig
+    behaviour_map: BehaviourMapConfig
     report: ReportConfig
     tracking: TrackingConfig
+    benchmark: BenchmarkConfig
 
 
 def load(composed: DictConfig) -> RunConfig:
@@ -81,7 +85,8 @@ def as_mapping(config: RunConfig) -> dict[str, Any]:
 
 def run_name(config: RunConfig) -> str:
     """Name of the run folder, `seed<seed>-<8 hex>`: the same for everything that gives the same result."""
-    relevant = {key: value for key, value in as_mapping(config).items() if key not in RESULT_NEUTRAL}
+    idle = set(get_args(Stage)) - set(config.stages)  # the group of a stage acts only where the stage runs
+    relevant = {key: value for key, value in as_mapping(config).items() if key not in RESULT_NEUTRAL | idle}
     canonical = json.dumps(relevant, sort_keys=True, separators=(",", ":"))
     return f"seed{config.seed}-{hashlib.sha256(canonical.encode()).hexdigest()[:8]}"
 
@@ -102,6 +107,9 @@ def _check_horizons(config: RunConfig) -> None:
     for place, families in places.items():
         for name, family in families.items():
             horizons[f"{place}.families.{name}.style_horizon_s"] = tuple(family.style_horizon_s)
+    if "behaviour_map" in config.stages:
+        horizons["behaviour_map.horizons_s"] = tuple(config.behaviour_map.horizons_s)
+        horizons["behaviour_map.styles_s"] = tuple(config.behaviour_map.styles_s)
     planned = config.planner.horizon_s
     for key, values in horizons.items():
         if max(values, default=0.0) > planned:

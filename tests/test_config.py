@@ -60,7 +60,10 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["seed=one"], "seed must be a valid integer, got one"),
         (["outputs=null"], "outputs must be a valid string, got null"),
         (["device=tpu"], "device must be one of auto, cpu, cuda, got tpu"),
-        (["stages=[train,rest]"], "stages.1 must be one of train, evaluate, report, got rest"),
+        (
+            ["stages=[train,rest]"],
+            "stages.1 must be one of train, evaluate, report, behaviour_map, benchmark, got rest",
+        ),
         (["stages=train"], "stages must be a list, got train"),
         (["name=a/b"], "name must match pattern '^[A-Za-z0-9][A-Za-z0-9_.-]*$', got a/b"),
         (["++planner.limits=3"], "planner.limits must be a mapping, got 3"),

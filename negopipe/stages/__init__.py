@@ -1,1 +1,1 @@
-"""The stages of a run, in the order in which they need each other: train, evaluate, report."""
+"""The stages of a run: train, evaluate and report need each other in this order, the others stand alone."""

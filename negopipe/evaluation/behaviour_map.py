@@ -1,0 +1,165 @@
+"""What a pair of horizons, the ego's and the social driver's, leads to; and claim 8 put to the test with it.
+
+Claim 8: a shorter prediction horizon gives more aggressive driving: passing first more often, and closer.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import torch
+from pydantic import AfterValidator, Field
+from torch import Tensor
+
+from negopipe.evaluation.metrics import episodes
+from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.schema import NonNegativeFloat, PositiveInt, schema
+from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
+from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.state import EGO
+
+
+def _are_different(values: list[float]) -> list[float]:
+    if len(set(values)) < len(values):
+        raise ValueError("must name every value once")
+    return values
+
+
+DifferentHorizons = Annotated[list[NonNegativeFloat], Field(min_length=1), AfterValidator(_are_different)]
+
+
+@schema
+class BehaviourMapConfig:
+    """`conf/behaviour_map/all_pairs.yaml` says what each value means."""
+
+    horizons_s: DifferentHorizons
+    styles_s: DifferentHorizons
+    n_episodes: PositiveInt
+
+
+def cell(
+    trace: Trace, ego_horizon_s: float, social_style_s: float, corridor_length_m: float, vehicle: VehicleConfig
+) -> dict[str, Any]:
+    """One row of the map: what happened when the two met.
+
+    setting, ego_horizon_s, social_style_s, n_episodes
+    success_rate, collision_rate, deadlock_rate, other_timeout_rate: shares of the episodes, their sum is 1
+    ego_time_s, social_time_s: until the target was reached, means over arrivals; NaN if nobody arrived
+    suspend_count, suspend_time_s: of the ego, means over all episodes
+    ego_passes_first_rate: share of the episodes in which anyone passed first; NaN if nobody ever did
+    smallest_gap_m: see `smallest_gap`, mean over all episodes
+    full_braking_rate: share of the ego's decisions in which no feasible plan existed
+    """
+    rows = episodes(trace, corridor_length_m)
+    share = {outcome: float((rows["outcome"] == outcome).mean()) for outcome in OUTCOMES}
+    first = rows["passes_first"][rows["passes_first"] != "none"]
+    return {
+        "setting": trace.family,
+        "ego_horizon_s": ego_horizon_s,
+        "social_style_s": social_style_s,
+        "n_episodes": len(rows),
+        "success_rate": share["success"],
+        "collision_rate": share["collision"],
+        "deadlock_rate": share["deadlock"],
+        "other_timeout_rate": share["timeout"],
+        "ego_time_s": float(rows["ego_time_s"].mean()),
+        "social_time_s": float(rows["social_time_s"].mean()),
+        "suspend_count": float(rows["suspend_count"].mean()),
+        "suspend_time_s": float(rows["suspend_time_s"].mean()),
+        "ego_passes_first_rate": float((first == "ego").mean()),
+        "smallest_gap_m": float(smallest_gap(trace, vehicle).mean()),
+        "full_braking_rate": float(rows["full_braking_count"].sum() / rows["n_decisions"].sum()),
+    }
+
+
+def smallest_gap(trace: Trace, vehicle: VehicleConfig) -> np.ndarray:
+    """[E] float64, m: smallest distance between the ego's footprint and a social one's; 0 where they collide."""
+    x, y = torch.from_numpy(trace.position_m).double().unbind(-1)
+    boxes = boxes_from_pose(x, y, torch.from_numpy(trace.yaw_rad).double(), vehicle.length_m, vehicle.width_m)
+    ego, social = _seats(boxes, slice(EGO, EGO + 1)), _seats(boxes, slice(EGO + 1, None))
+    return box_distance(ego, social).amin((0, 2)).numpy()
+
+
+def _seats(boxes: Boxes, seats: slice) -> Boxes:
+    pose = [field[..., seats] for field in boxes[:4] if isinstance(field, Tensor)]
+    return Boxes(*pose, half_length=boxes.half_length, half_width=boxes.half_width)
+
+
+def box_distance(a: Boxes, b: Boxes) -> Tensor:
+    """Distance between oriented rectangles, [...] m, 0 where they overlap.
+
+    Of two rectangles that are apart, one has a corner among the two nearest points.
+    """
+    apart = torch.minimum(_distance_from_corners(a, b), _distance_from_corners(b, a))
+    return torch.where(overlap_depth(a, b) > 0, 0.0, apart)
+
+
+def _distance_from_corners(a: Boxes, b: Boxes) -> Tensor:
+    """[...] m: of the corner of `a` that is nearest to the rectangle `b`."""
+    nearest = torch.tensor(torch.inf, dtype=a.x.dtype)
+    for ahead, left in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        along_a, across_a = ahead * a.half_length, left * a.half_width
+        dx = a.x + along_a * a.cos - across_a * a.sin - b.x
+        dy = a.y + along_a * a.sin + across_a * a.cos - b.y
+        along_b = ((dx * b.cos + dy * b.sin).abs() - b.half_length).clamp(min=0)
+        across_b = ((dy * b.cos - dx * b.sin).abs() - b.half_width).clamp(min=0)
+        nearest = torch.minimum(nearest, torch.hypot(along_b, across_b))
+    return nearest
+
+
+HOLDS, FAILS, EQUAL, UNKNOWN = "holds", "does not hold", "no difference", "cannot be told"
+"""Verdicts: the measure goes the claimed way from horizon to horizon (it may pause, but not turn); it turns
+somewhere; it stays the same; fewer than two horizons have a value."""
+
+CLAIMED = {"ego_passes_first_rate": (-1, 1e-9), "smallest_gap_m": (1, 0.01)}
+"""Measure -> its sign of change as the ego's horizon grows, and the change that counts as none (1 cm of gap)."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Claim 8 for one measure, in one setting against one style.
+
+    turn: ((horizon, value), (next horizon, value)), the largest step the wrong way; None unless it fails
+    """
+
+    setting: str
+    social_style_s: float
+    measure: str
+    verdict: str
+    turn: tuple[tuple[float, float], tuple[float, float]] | None
+
+
+def findings(table: pd.DataFrame) -> list[Finding]:
+    """Claim 8 for every measure, setting and style, from rows of `cell`."""
+    found = []
+    for measure, (sign, tolerance) in CLAIMED.items():
+        for (setting, style_s), rows in table.groupby(["setting", "social_style_s"], sort=False):
+            known = rows.dropna(subset=measure).sort_values("ego_horizon_s")
+            points = list(zip(known["ego_horizon_s"].tolist(), known[measure].tolist(), strict=True))
+            found.append(Finding(str(setting), float(style_s), measure, *_judge(points, sign, tolerance)))
+    return found
+
+
+def _judge(
+    points: Sequence[tuple[float, float]], sign: int, tolerance: float
+) -> tuple[str, tuple[tuple[float, float], tuple[float, float]] | None]:
+    """Verdict and turn of (horizon, value) in the order of the horizons."""
+    if len(points) < 2:
+        return UNKNOWN, None
+    values = np.array([value for _, value in points])
+    steps = sign * np.diff(values)
+    if np.ptp(values) <= tolerance:
+        return EQUAL, None
+    worst = int(steps.argmin())
+    return (HOLDS, None) if steps[worst] >= -tolerance else (FAILS, (points[worst], points[worst + 1]))
+
+
+def claims(found: Sequence[Finding]) -> dict[str, Any]:
+    """The verdicts for metrics.json: measure -> setting -> `social_<style>` -> verdict."""
+    verdicts: dict[str, Any] = {}
+    for finding in found:
+        by_style = verdicts.setdefault(finding.measure, {}).setdefault(finding.setting, {})
+        by_style[f"social_{finding.social_style_s:g}"] = finding.verdict
+    return verdicts

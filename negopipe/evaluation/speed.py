@@ -1,0 +1,105 @@
+"""How fast calls and machines are: medians, latencies, memory, and the two rates that other rates are held against."""
+
+import re
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+from pydantic import Field, model_validator
+
+from negopipe.schema import PositiveFloat, PositiveInt, schema
+
+Backend = Literal["eager", "compiled", "cuda_eager", "cuda"]
+
+MATRIX_SIDE = 2048
+COPY_FLOATS = 2**26
+"""256 MiB, larger than any cache."""
+
+
+@schema
+class BenchmarkConfig:
+    """`conf/benchmark/speed.yaml` says what each value means."""
+
+    backends: Annotated[tuple[Backend, ...], Field(min_length=1)]
+    n_worlds: Annotated[tuple[PositiveInt, ...], Field(min_length=1)]
+    base_n_worlds: PositiveInt
+    n_warmups: PositiveInt
+    n_repetitions: PositiveInt
+    min_time_s: PositiveFloat
+    n_latencies: PositiveInt
+
+    @model_validator(mode="after")
+    def _has_base(self) -> "BenchmarkConfig":
+        if self.base_n_worlds not in self.n_worlds:
+            among = ", ".join(map(str, self.n_worlds))
+            raise ValueError(f"base_n_worlds must be among n_worlds = {among}, got {self.base_n_worlds}")
+        return self
+
+
+def seconds_per_call(call: Callable[[], Any], config: BenchmarkConfig, device: torch.device) -> float:
+    """Median over the repetitions, each a block of calls, so that what only some calls do (resets) counts too."""
+    for _ in range(config.n_warmups):
+        once = block_seconds(call, 1, device)
+    n_calls = max(1, round(config.min_time_s / config.n_repetitions / once))
+    blocks: list[float] = []
+    while len(blocks) < config.n_repetitions or sum(blocks) < config.min_time_s:
+        blocks.append(block_seconds(call, n_calls, device))
+    return statistics.median(blocks) / n_calls
+
+
+def block_seconds(call: Callable[[], Any], n_calls: int, device: torch.device) -> float:
+    """Time of `n_calls` calls, until the device has finished them, s."""
+    _finish(device)
+    start_s = time.perf_counter()
+    for _ in range(n_calls):
+        call()
+    _finish(device)
+    return time.perf_counter() - start_s
+
+
+def latency_percentiles_ms(
+    call: Callable[[], Any], config: BenchmarkConfig, device: torch.device
+) -> tuple[float, float]:
+    """Median and 99th percentile of single calls, ms."""
+    for _ in range(config.n_warmups):
+        call()
+    latencies = torch.tensor([block_seconds(call, 1, device) for _ in range(config.n_latencies)])
+    p50, p99 = (1e3 * latencies.quantile(torch.tensor([0.5, 0.99]))).tolist()
+    return p50, p99
+
+
+def matmul_gflops(config: BenchmarkConfig, device: torch.device) -> float:
+    """Rate of a float32 product of two 2048 x 2048 matrices, 1e9 operations/s (a multiply-add is two)."""
+    a, b = torch.rand(2, MATRIX_SIDE, MATRIX_SIDE, device=device)
+    out = torch.empty_like(a)
+    return 2 * MATRIX_SIDE**3 / seconds_per_call(lambda: torch.matmul(a, b, out=out), config, device) / 1e9
+
+
+def copy_gb_per_s(config: BenchmarkConfig, device: torch.device) -> float:
+    """Rate of a large plain copy, 1e9 bytes/s, read and written ones both counted."""
+    source = torch.rand(COPY_FLOATS, device=device)
+    target = torch.empty_like(source)
+    return 2 * 4 * COPY_FLOATS / seconds_per_call(lambda: target.copy_(source), config, device) / 1e9
+
+
+def peak_memory_mb(device: torch.device) -> float:
+    """1e6 bytes that were in use at most since the process began: of the process, or of tensors on a GPU."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 1e6
+    status = Path("/proc/self/status")
+    if status.exists():  # getrusage on Linux starts a new process with the peak of the one that started it
+        found = re.search(r"^VmHWM:\s+(\d+) kB$", status.read_text(), flags=re.MULTILINE)
+        if found:
+            return int(found[1]) * 1024 / 1e6
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
+
+
+def _finish(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)

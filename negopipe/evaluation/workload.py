@@ -1,0 +1,80 @@
+"""The work in one decision, and with that the physical limit: how many a machine could take at most.
+
+Counted is the plain algorithm (every combination of candidates against every predicted vehicle at every time, as
+oriented boxes), fused into one pass: operations on single numbers, and only those bytes that must be read or written
+between two decisions. The network is not part of it. An algorithm that skips work may beat the limit.
+"""
+
+from dataclasses import dataclass
+
+from negopipe.env import Game
+from negopipe.simulation.scenario import ScenarioConfig
+
+OVERLAP = 49
+"""Operations of `geometry.overlap_depth` for a pair of boxes."""
+
+_ROUTE = 31  # route_offset: smoothstep with two derivatives 18, its argument 5, scaling the three 8
+_FOLLOW = 24 + _ROUTE + 6  # a quintic with two derivatives by Horner, the route, and their sums
+_STATION = _FOLLOW + 8 + 10  # ... curvature and its limit; heading, reach and kerb
+_CHECK = _FOLLOW - 14 + 4  # ... without the second derivatives; heading
+_IN_HORIZON = 2  # drop what is beyond the prediction horizon, keep the deepest
+_SAMPLE = 4 * 8 + 12  # four derivatives, each a row times four numbers; limits and costs
+_PREDICT = _ROUTE + 13  # route, fading offset, the viewer's frame
+_CROSSING = 32  # first and last column of a box in a row of cells
+_WORD = 13  # the same as bits of one machine word
+_CELL = 3  # shift, mask, narrow
+
+_STATE_FLOATS = 6  # position 2, yaw, speed, acceleration, curvature
+_POSE_FLOATS = 3
+_TASK_FLOATS = 5
+_FLAG_BYTES = 2  # has reached, has collided
+_WORLD_BYTES = 2 * 8  # step, family
+_WORD_BITS = 28
+
+
+@dataclass(frozen=True)
+class Workload:
+    """Of one decision in one world.
+
+    flops: operations on single numbers; bytes: read and written
+    """
+
+    flops: float
+    bytes: float
+
+    def decisions_per_s(self, gflops: float, gb_per_s: float) -> float:
+        """What a machine of these two rates reaches at most, if it computes and moves bytes at the same time."""
+        return min(gflops * 1e9 / self.flops, gb_per_s * 1e9 / self.bytes)
+
+
+def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
+    """Work of one decision at the configured sizes.
+
+    With V vehicles, O = V - 1 others, L lateral and C longitudinal candidates, T times, S stations, P parked cars,
+    F frames of H x W cells and K poses remembered:
+
+        flops = V [C T sample + L S (station + P overlap) + L C T (check + O (overlap + in_horizon)) + O T predict]
+              + V (O + P) overlap + (F V + P + 2) H (crossing + words * word) + F H W cell
+        bytes = 2 V (state + K pose + flags) + V task + 2 counters + F H W
+    """
+    n_vehicles = 1 + scenario.n_social
+    n_others, n_parked = scenario.n_social, len(game.simulator.road.parked_cars)
+    flops = n_vehicles * (_plan(game, n_others, n_parked) + (n_others + n_parked) * OVERLAP)
+    n_frames, height, width = game.observation_shape
+    n_words = -(-width // _WORD_BITS)
+    n_rows = (n_frames * n_vehicles + n_parked + 2) * height  # of boxes; two lie beyond the kerbs
+    flops += n_rows * (_CROSSING + n_words * _WORD) + n_frames * height * width * _CELL
+    state = 4 * (_STATE_FLOATS + (1 + game.simulator.history_steps) * _POSE_FLOATS) + _FLAG_BYTES
+    moved = 2 * (n_vehicles * state + _WORLD_BYTES) + n_vehicles * 4 * _TASK_FLOATS
+    return Workload(float(flops), float(moved + n_frames * height * width))
+
+
+def _plan(game: Game, n_others: int, n_parked: int) -> int:
+    """Operations of one vehicle's plan."""
+    planner = game.planner
+    n_lateral, n_longitudinal = planner.lateral.n_candidates, planner.longitudinal.n_candidates
+    n_times, n_stations = len(planner.times), len(planner.stations)
+    sampling = n_longitudinal * n_times * _SAMPLE
+    roadside = n_lateral * n_stations * (_STATION + n_parked * OVERLAP)
+    conflicts = n_lateral * n_longitudinal * n_times * (_CHECK + n_others * (OVERLAP + _IN_HORIZON))
+    return sampling + roadside + conflicts + n_others * n_times * _PREDICT

@@ -1,0 +1,138 @@
+"""The behaviour map as a figure and in words."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+
+from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, Finding
+from negopipe.report.figures import INK, OUTCOME_COLORS, STYLE, WIDTH_IN, styled
+
+RATES = {
+    "success": "success_rate",
+    "collision": "collision_rate",
+    "deadlock": "deadlock_rate",
+    "timeout": "other_timeout_rate",
+}
+"""Outcome -> its column, in the order in which the parts of a cell are stacked."""
+
+FIRST_COLORMAP = LinearSegmentedColormap.from_list("first", ["#F2DDA8", "#E4DFEA", "#56409A"])
+"""Who passes first, from sand (always the social driver) to violet (always the ego): apart for every eye."""
+NOBODY = "#EDEDED"
+
+SMALLEST_PART = 0.3
+"""Share of a cell's height that a number needs."""
+
+
+@styled
+def behaviour_map(table: pd.DataFrame) -> Figure:
+    """Per setting two maps over the ego's horizon and the social driver's style: outcomes, and who goes first.
+
+    On the left the parts of a cell are the shares of the outcomes; on the right the colour and the upper number
+    are the ego's share of first passages (nobody: there was none), the lower number is the mean smallest gap.
+    """
+    settings = list(table["setting"].unique())
+    horizons, styles = (sorted(table[axis].unique()) for axis in ("ego_horizon_s", "social_style_s"))
+    height = 0.9 + len(settings) * (0.35 + 0.44 * len(styles))
+    figure = Figure((WIDTH_IN, height), layout="constrained")
+    axes = figure.subplots(len(settings), 2, sharex=True, sharey=True, squeeze=False)
+    font_size = min(8.0, 34 / len(horizons))
+    for (left, right), setting in zip(axes, settings, strict=True):
+        rows = table[table["setting"] == setting]
+        _outcome_cells(left, rows, horizons, styles, font_size)
+        _passage_cells(right, rows, horizons, styles, font_size)
+        left.set_title(f"{setting.capitalize()}: outcomes [%]")
+        right.set_title("ego first [%], gap [m]", fontweight="normal")
+        for axis in (left, right):
+            _frame(axis, horizons, styles)
+    figure.supxlabel("prediction horizon of the ego [s]", fontsize=STYLE["axes.labelsize"])
+    figure.supylabel("prediction horizon of the social driver [s]", fontsize=STYLE["axes.labelsize"])
+    handles = [Patch(color=color, label=name) for name, color in OUTCOME_COLORS.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
+    return figure
+
+
+def _outcome_cells(
+    axis: Axes, rows: pd.DataFrame, horizons: list[float], styles: list[float], font_size: float
+) -> None:
+    for row in rows.to_dict("records"):
+        left, bottom = horizons.index(row["ego_horizon_s"]) - 0.5, styles.index(row["social_style_s"]) - 0.5
+        for outcome, column in RATES.items():
+            share = row[column]
+            axis.add_patch(Rectangle((left, bottom), 1, share, color=OUTCOME_COLORS[outcome], linewidth=0))
+            if share >= SMALLEST_PART:
+                color = "white" if outcome == "deadlock" else INK
+                _number(axis, left + 0.5, bottom + share / 2, f"{100 * share:.0f}", color, font_size)
+            bottom += share
+
+
+def _passage_cells(
+    axis: Axes, rows: pd.DataFrame, horizons: list[float], styles: list[float], font_size: float
+) -> None:
+    first, gap = (
+        rows.pivot_table(index="social_style_s", columns="ego_horizon_s", values=measure, dropna=False)
+        .reindex(index=styles, columns=horizons)
+        .to_numpy()
+        for measure in ("ego_passes_first_rate", "smallest_gap_m")
+    )
+    axis.imshow(first, cmap=FIRST_COLORMAP.with_extremes(bad=NOBODY), vmin=0, vmax=1, aspect="auto", origin="lower")
+    for (row, column), share in np.ndenumerate(first):
+        color = "white" if share > 0.7 else INK
+        text, size = ("nobody", 0.85 * font_size) if np.isnan(share) else (f"{100 * share:.0f}", font_size)
+        _number(axis, column, row + 0.2, text, color, size)
+        _number(axis, column, row - 0.22, f"{gap[row, column]:.2f} m", color, 0.85 * font_size)
+
+
+def _number(axis: Axes, x: float, y: float, text: str, color: str, font_size: float) -> None:
+    axis.text(x, y, text, ha="center", va="center_baseline", color=color, fontsize=font_size)
+
+
+def _frame(axis: Axes, horizons: list[float], styles: list[float]) -> None:
+    """Ticks at the cells' middles, white lines between the cells."""
+    axis.set_xticks(range(len(horizons)), [f"{horizon:g}" for horizon in horizons])
+    axis.set_yticks(range(len(styles)), [f"{style:g}" for style in styles])
+    axis.set_xticks(np.arange(len(horizons) + 1) - 0.5, minor=True)
+    axis.set_yticks(np.arange(len(styles) + 1) - 0.5, minor=True)
+    axis.grid(which="minor", color="white", linewidth=2)
+    axis.tick_params(which="both", length=0)
+    axis.spines[:].set_visible(False)
+    axis.set(xlim=(-0.5, len(horizons) - 0.5), ylim=(-0.5, len(styles) - 0.5))
+
+
+MEASURES = {"ego_passes_first_rate": "passing first more often", "smallest_gap_m": "coming closer"}
+VERDICTS = {HOLDS: "holds in", EQUAL: "makes no difference in", FAILS: "does not hold in", UNKNOWN: "cannot be told in"}
+
+
+def reading(found: Sequence[Finding]) -> str:
+    """Claim 8 in one paragraph: where it holds and where it does not."""
+    parts = [_sentence(words, [f for f in found if f.measure == measure]) for measure, words in MEASURES.items()]
+    return "A shorter prediction horizon of the ego as more aggressive driving (claim 8). " + " ".join(parts)
+
+
+def _sentence(words: str, found: Sequence[Finding]) -> str:
+    clauses = []
+    for verdict, says in VERDICTS.items():
+        cases = [finding for finding in found if finding.verdict == verdict]
+        if cases:
+            clauses.append(f"{says} {len(cases)} of {len(found)} ({_cases(cases)})")
+    return f"{words.capitalize()}: {', '.join(clauses)}."
+
+
+def _cases(found: Sequence[Finding]) -> str:
+    by_setting: dict[str, list[str]] = {}
+    for finding in found:
+        by_setting.setdefault(finding.setting, []).append(f"{finding.social_style_s:g} s{_turn(finding)}")
+    return "; ".join(f"{setting} against {', '.join(styles)}" for setting, styles in by_setting.items())
+
+
+def _turn(finding: Finding) -> str:
+    if finding.turn is None:
+        return ""
+    (horizon, value), (longer, then) = finding.turn
+    if finding.measure == "ego_passes_first_rate":
+        return f" [{100 * value:.0f} % at {horizon:g} s but {100 * then:.0f} % at {longer:g} s]"
+    return f" [{value:.2f} m at {horizon:g} s but {then:.2f} m at {longer:g} s]"

@@ -1,0 +1,256 @@
+"""The behaviour map: exact gaps, rows that agree with the drives, verdicts by hand, options that act."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from negopipe.config import RunConfig, run_name
+from negopipe.driver import fixed_horizon
+from negopipe.env import Game, build_game
+from negopipe.errors import UserError
+from negopipe.evaluation.behaviour_map import (
+    EQUAL,
+    FAILS,
+    HOLDS,
+    UNKNOWN,
+    box_distance,
+    claims,
+    findings,
+    smallest_gap,
+)
+from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.metrics import episodes
+from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.gym_env import compose_config
+from negopipe.report.behaviour_map import behaviour_map as draw
+from negopipe.report.behaviour_map import reading
+from negopipe.simulation.geometry import Boxes, boxes_from_pose
+from negopipe.simulation.scenario import VehicleConfig
+from negopipe.stages import behaviour_map
+from negopipe.stages.evaluate import held_out_tasks
+
+TINY = (
+    "+experiment=behaviour_map",
+    "behaviour_map.n_episodes=2",
+    "behaviour_map.horizons_s=[0.0,6.0]",
+    "behaviour_map.styles_s=[0.0,6.0]",
+    "algorithm.n_worlds=2",
+    "scenario.episode_steps=72",
+    "compile='off'",
+)
+
+
+def tiny(*overrides: str) -> RunConfig:
+    return compose_config([*TINY, *overrides])
+
+
+class Run:
+    """Stands for the tracked run and remembers what it was given."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.description = folder, ""
+        self.artifacts: list[tuple[str, str]] = []
+        self.metrics: dict[str, Any] = {}
+
+    def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
+        assert path.is_file()
+        self.artifacts.append((path.name, artifact_folder))
+
+    def update_metrics_json(self, section: dict[str, Any]) -> None:
+        self.metrics |= section
+
+    def set_description(self, markdown: str) -> None:
+        self.description = markdown
+
+
+def box(x: float, y: float, yaw: float) -> Boxes:
+    pose = (torch.tensor(value, dtype=torch.float64) for value in (x, y, yaw))
+    return boxes_from_pose(*pose, length=4.0, width=2.0)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "yaw", "distance"),
+    [
+        (7.0, 0.0, 0.0, 3.0),  # bumper to bumper
+        (1.0, -2.5, math.pi, 0.5),  # side by side
+        (7.0, 6.0, 0.0, 5.0),  # corner to corner: 3 ahead, 4 aside
+        (6.0, 0.0, math.pi / 2, 3.0),  # across the road
+        (2.0 + math.sqrt(2) * 1.5 + 1.0, 0.0, math.pi / 4, 1.0),  # its corner towards this bumper
+        (3.9, 0.0, 0.0, 0.0),
+        (0.0, 0.0, math.pi / 2, 0.0),  # a cross: no corner of one lies in the other
+    ],
+)
+def test_distance_of_hand_placed_rectangles(x: float, y: float, yaw: float, distance: float) -> None:
+    here, there = box(0, 0, 0), box(x, y, yaw)
+    assert box_distance(here, there).item() == pytest.approx(distance, abs=1e-12)
+    assert box_distance(there, here).item() == pytest.approx(distance, abs=1e-12)
+
+
+def make_trace(social_x_m: list[list[float]]) -> Trace:
+    """One episode; the ego stands at the origin, the social vehicles [T+1, V-1] ahead of it, turned around."""
+    x = np.pad(np.float32(social_x_m), ((0, 0), (1, 0)))[:, None]
+    n, _, n_vehicles = x.shape
+    facing = np.float32([0.0, *[np.pi] * (n_vehicles - 1)])
+    return Trace(
+        planner="fixed_0",
+        family="push",
+        dt_s=0.2,
+        start_distance_m=np.zeros((1, n_vehicles)),
+        style_horizon_s=np.zeros((1, n_vehicles)),
+        position_m=np.stack([x, np.zeros_like(x)], -1),
+        yaw_rad=np.broadcast_to(facing, x.shape).copy(),
+        speed_mps=np.zeros_like(x),
+        progress_m=x,
+        horizon_s=np.zeros((n - 1, 1, n_vehicles)),
+        is_full_braking=np.zeros((n - 1, 1, n_vehicles), dtype=bool),
+        reward=np.zeros((n - 1, 1)),
+        n_steps=np.array([n - 1]),
+        reached_step=np.full((1, n_vehicles), -1),
+        outcome=np.array([3]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("social_x_m", "gap_m"), [([[20.0, 40.0], [9.0, 30.0], [12.0, 8.0]], 4.0), ([[9.0], [3.0], [9.0]], 0.0)]
+)
+def test_smallest_gap_is_over_time_and_all_social_vehicles(social_x_m: list[list[float]], gap_m: float) -> None:
+    gap = smallest_gap(make_trace(social_x_m), VehicleConfig(length_m=4.0, width_m=2.0))
+    assert gap.tolist() == pytest.approx([gap_m], abs=1e-5)
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    run = Run(tmp_path_factory.mktemp("run"))
+    behaviour_map.run(tiny("evaluation.settings=[push,yield]"), run)
+    return run
+
+
+def test_rows_agree_with_the_drives(ran: Run) -> None:
+    table = pd.read_csv(ran.folder / "behaviour_map.csv")
+    keys = ["setting", "social_style_s", "ego_horizon_s"]
+    pairs = [(style, horizon) for style in (0.0, 6.0) for horizon in (0.0, 6.0)]
+    assert [tuple(key) for key in table[keys].to_numpy()] == [(s, *pair) for s in ("push", "yield") for pair in pairs]
+    config = tiny()
+    game = build_game(config.scenario, config.planner, config.observation)
+    columns = {"timeout": "other_timeout_rate"} | {name: f"{name}_rate" for name in OUTCOMES[:3]}
+    for row in table[table["setting"] == "push"].to_dict("records"):
+        tasks = behaviour_map.map_tasks(config, game, "push", row["social_style_s"])
+        choose = fixed_horizon(row["ego_horizon_s"])
+        trace = drive_episodes(game, choose, tasks, 1, config.evaluation.reward, ("again", "push"))
+        again = episodes(trace, config.scenario.road.corridor_length_m)
+        shares = again["outcome"].value_counts(normalize=True)
+        for outcome, name in columns.items():
+            assert row[name] == shares.get(outcome, 0.0), name
+        for name in ("ego_time_s", "social_time_s", "suspend_count", "suspend_time_s"):
+            assert row[name] == pytest.approx(again[name].mean(), nan_ok=True), name
+        first = again.loc[again["passes_first"] != "none", "passes_first"]
+        assert row["ego_passes_first_rate"] == pytest.approx((first == "ego").mean(), nan_ok=True)
+        assert row["smallest_gap_m"] == pytest.approx(smallest_gap(trace, config.scenario.vehicle).mean())
+        assert row["full_braking_rate"] == trace.is_full_braking[:, :, 0].sum() / trace.n_steps.sum()
+        assert row["n_episodes"] == 2
+    assert table["success_rate"].any()
+    assert table["ego_passes_first_rate"].isin([0, 1]).any()
+
+
+def test_two_who_do_not_look_collide_and_touch(ran: Run) -> None:
+    table = pd.read_csv(ran.folder / "behaviour_map.csv")
+    blind = table[(table["ego_horizon_s"] == 0) & (table["social_style_s"] == 0)]
+    assert blind["collision_rate"].tolist() == [1.0, 1.0]
+    assert blind["smallest_gap_m"].tolist() == [0.0, 0.0]
+    assert blind["ego_time_s"].isna().all()
+
+
+def test_everything_is_written_and_logged(ran: Run) -> None:
+    assert ran.artifacts == [
+        ("behaviour_map.csv", ""),
+        ("behaviour_map.png", "figures"),
+        ("behaviour_map.svg", "figures"),
+    ]
+    verdicts = ran.metrics["behaviour_map"]["claims"]
+    assert set(verdicts) == {"ego_passes_first_rate", "smallest_gap_m"}
+    assert set(verdicts["smallest_gap_m"]["push"]) == {"social_0", "social_6"}
+    assert ran.description.startswith("A shorter prediction horizon of the ego as more aggressive driving")
+
+
+def test_every_style_meets_the_tasks_of_the_evaluation(config: RunConfig, game: Game) -> None:
+    own = held_out_tasks(config, game, "yield")
+    as_many = compose_config([f"behaviour_map.n_episodes={config.evaluation.n_episodes}"])
+    for style_s in (0.0, 4.0):
+        tasks = behaviour_map.map_tasks(as_many, game, "yield", style_s)
+        assert torch.equal(tasks.start_distance, own.start_distance)
+        assert (tasks.style_horizon[:, 1:] == style_s).all()
+
+
+def make_table(first: list[float], gap: list[float]) -> pd.DataFrame:
+    rows = {"ego_horizon_s": [0.0, 2.0, 4.0, 6.0], "ego_passes_first_rate": first, "smallest_gap_m": gap}
+    return pd.DataFrame({"setting": "push", "social_style_s": 2.0} | rows)
+
+
+@pytest.mark.parametrize(
+    ("first", "verdict", "turn"),
+    [
+        ([1.0, 1.0, 0.5, 0.0], HOLDS, None),
+        ([1.0, math.nan, 0.5, 0.5], HOLDS, None),
+        ([1.0, 0.5, 0.75, 0.0], FAILS, ((2.0, 0.5), (4.0, 0.75))),
+        ([0.5, 0.5, math.nan, 0.5], EQUAL, None),
+        ([math.nan, 0.5, math.nan, math.nan], UNKNOWN, None),
+    ],
+)
+def test_passing_first_must_not_grow_with_the_horizon(first: list[float], verdict: str, turn: Any) -> None:
+    found = findings(make_table(first, [0.0, 0.5, 0.495, 1.0]).sample(frac=1, random_state=0))
+    assert (found[0].verdict, found[0].turn) == (verdict, turn)
+    assert found[1].verdict == HOLDS  # half a centimetre is no difference
+    assert claims(found)["ego_passes_first_rate"] == {"push": {"social_2": verdict}}
+
+
+def test_the_reading_says_where_it_turns() -> None:
+    text = reading(findings(make_table([1.0, 1.0, 0.5, 0.0], [0.7, 0.9, 0.25, 1.0])))
+    assert "Passing first more often: holds in 1 of 1 (push against 2 s)." in text
+    assert "Coming closer: does not hold in 1 of 1 (push against 2 s [0.90 m at 2 s but 0.25 m at 4 s])." in text
+
+
+def test_the_figure_shows_the_numbers(ran: Run) -> None:
+    table = pd.read_csv(ran.folder / "behaviour_map.csv")
+    outcomes, passages = draw(table).axes[:2]
+    push = table[table["setting"] == "push"]
+    shown = [text.get_text() for text in passages.texts]
+    assert len(shown) == 2 * len(push)
+    for row in push.to_dict("records"):
+        assert f"{row['smallest_gap_m']:.2f} m" in shown
+    assert ("nobody" in shown) == push["ego_passes_first_rate"].isna().any()
+    assert {text.get_text() for text in outcomes.texts} <= {f"{n}" for n in range(30, 101)}
+    assert outcomes.get_title(loc="left") == "Push: outcomes [%]"
+
+
+def test_formats_are_those_of_the_report(tmp_path: Path) -> None:
+    run = Run(tmp_path)
+    one = ("behaviour_map.horizons_s=[0.0]", "behaviour_map.styles_s=[0.0]", "evaluation.settings=[yield]")
+    behaviour_map.run(tiny(*one, "report.figure_formats=[svg]"), run)
+    assert [path.name for path in (tmp_path / "figures").iterdir()] == ["behaviour_map.svg"]
+    assert len(pd.read_csv(tmp_path / "behaviour_map.csv")) == 1
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("behaviour_map.styles_s=[7.0]", "behaviour_map.styles_s must be at most planner.horizon_s = 6.0, got 7.0"),
+        ("behaviour_map.horizons_s=[7.0]", "behaviour_map.horizons_s must be at most planner.horizon_s = 6.0, got 7.0"),
+        ("behaviour_map.horizons_s=[2.0,2.0]", "behaviour_map.horizons_s must name every value once"),
+        ("behaviour_map.n_episodes=0", "behaviour_map.n_episodes must be greater than or equal to 1, got 0"),
+    ],
+)
+def test_a_wrong_map_is_named(override: str, line: str) -> None:
+    with pytest.raises(UserError) as error:
+        tiny(override)
+    assert str(error.value).startswith(line)
+
+
+def test_the_map_names_a_run_only_where_it_is_drawn() -> None:
+    more = "behaviour_map.n_episodes=3"
+    assert run_name(tiny(more)) != run_name(tiny())
+    assert run_name(compose_config([more])) == run_name(compose_config())

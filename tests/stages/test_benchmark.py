@@ -1,0 +1,197 @@
+"""The benchmark: all figures under their names, options that act, and the arithmetic of the limit by hand."""
+
+import json
+import re
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from negopipe.config import RunConfig
+from negopipe.env import Game
+from negopipe.errors import UserError
+from negopipe.evaluation.speed import BenchmarkConfig, latency_percentiles_ms, seconds_per_call
+from negopipe.evaluation.workload import OVERLAP, Workload, decision_workload
+from negopipe.gym_env import compose_config
+from negopipe.simulation.geometry import Boxes, overlap_depth
+from negopipe.stages import benchmark
+from negopipe.stages.benchmark import available, comparisons, measure_cell
+
+CPU = torch.device("cpu")
+TINY = (
+    "+experiment=benchmark",
+    "n_threads=1",
+    "benchmark.n_worlds=[4,1]",
+    "benchmark.base_n_worlds=1",
+    "benchmark.backends=[eager]",
+    "benchmark.min_time_s=0.01",
+    "benchmark.n_repetitions=2",
+    "benchmark.n_warmups=1",
+    "benchmark.n_latencies=5",
+)
+EVERY_CELL = {
+    "decisions_per_s",
+    "decisions_per_s_per_gflops",
+    "share_of_limit",
+    "planner_candidates_per_s",
+    "observation_frames_per_s",
+    "peak_memory_mb",
+    "first_compile_s",
+}
+LATENCIES = {"decision_latency_ms_p50", "decision_latency_ms_p99"}
+SHARED = {
+    "reference.matmul_gflops",
+    "reference.copy_gb_per_s",
+    "limit.flops_per_decision",
+    "limit.bytes_per_decision",
+    "limit.decisions_per_s",
+}
+
+
+class RecordedRun:
+    """What the stage uses of a tracked run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.artifacts: list[Path] = []
+        self.metrics: dict[str, float] = {}
+
+    def log_artifact(self, path: Path) -> None:
+        self.artifacts.append(path)
+
+    def log_metrics(self, metrics: dict[str, float], step: int) -> None:
+        self.metrics |= metrics
+
+
+class OperationCount(TorchDispatchMode):
+    """Counts calls of operations; on tensors of one element these are the operations on numbers."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.n = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        self.n += 1
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.fixture(scope="module")
+def tiny() -> RunConfig:
+    return compose_config(TINY)
+
+
+def timing(**changes: Any) -> BenchmarkConfig:
+    return replace(compose_config(TINY).benchmark, **changes)
+
+
+def test_all_figures_are_written_under_their_names(
+    tiny: RunConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = RecordedRun(tmp_path)
+    benchmark.run(tiny, run)  # type: ignore[arg-type]
+    figures = json.loads((tmp_path / "benchmark.json").read_text())
+    expected = SHARED | {f"eager.{n}.{name}" for n in (1, 4) for name in EVERY_CELL}
+    expected |= {f"eager.1.{name}" for name in LATENCIES} | {"eager.4.cost_per_world_ratio"}
+    assert set(figures) == expected
+    assert all(value > 0 for value in figures.values())
+    assert all(re.fullmatch(r"(reference|limit|eager\.\d+)\.[a-z0-9_]+", name) for name in figures)
+    assert figures["eager.1.decision_latency_ms_p50"] <= figures["eager.1.decision_latency_ms_p99"]
+    assert run.artifacts == [tmp_path / "benchmark.json"]
+    assert run.metrics["benchmark/eager/4/decisions_per_s"] == figures["eager.4.decisions_per_s"]
+    shown = capsys.readouterr().out
+    assert "benchmark 100%" in shown
+    assert len(re.findall(r"^│ eager", shown, flags=re.MULTILINE)) == 2
+
+
+def test_a_cell_that_dies_is_named(tiny: RunConfig, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"^benchmark\.n_worlds must fit into memory: 7 ended with exit code 7 and "):
+        benchmark._in_own_process(die, tiny, 7)
+
+
+def die(config: RunConfig, code: int) -> dict[str, float]:
+    raise SystemExit(code)
+
+
+def test_each_duration_and_number_acts() -> None:
+    times: list[float] = []
+
+    def call() -> None:
+        times.append(time.perf_counter())
+
+    seconds_per_call(call, timing(n_warmups=3, n_repetitions=4, min_time_s=1e-9), CPU)
+    assert len(times) == 3 + 4
+    times.clear()
+    seconds_per_call(call, timing(min_time_s=0.05), CPU)
+    assert 0.05 <= times[-1] - times[0] < 5
+    times.clear()
+    latency_percentiles_ms(call, timing(n_warmups=2, n_latencies=9), CPU)
+    assert len(times) == 2 + 9
+
+
+def test_seconds_per_call_is_the_time_of_one_call() -> None:
+    assert seconds_per_call(lambda: time.sleep(0.004), timing(min_time_s=0.04), CPU) == pytest.approx(0.004, rel=0.8)
+
+
+def test_the_latency_belongs_to_one_world(tiny: RunConfig) -> None:
+    assert {name.split(".")[2] for name in measure_cell(tiny, "eager", 2)} & LATENCIES == set()
+
+
+def test_what_the_machine_lacks_is_left_out_and_said(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(benchmark, "wants_compile", lambda choice: False)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with caplog.at_level("INFO", "negopipe"):
+        assert available(("eager", "compiled", "cuda")) == ["eager"]
+    assert caplog.messages == [
+        "benchmark: compiled is left out, there is no C++ compiler",
+        "benchmark: cuda is left out, there is no CUDA device",
+    ]
+    with pytest.raises(UserError, match=r"^benchmark\.backends must name one that this machine has, got cuda$"):
+        available(("cuda",))
+
+
+def test_the_base_is_one_of_the_numbers() -> None:
+    with pytest.raises(UserError, match=r"^benchmark base_n_worlds must be among n_worlds = 4, 1, got 512$"):
+        compose_config((*TINY, "benchmark.base_n_worlds=512"))
+
+
+def test_rates_are_compared_with_machine_limit_and_base(tiny: RunConfig) -> None:
+    figures = {"reference.matmul_gflops": 50.0, "limit.decisions_per_s": 4000.0}
+    figures |= {"eager.1.decisions_per_s": 100.0, "eager.4.decisions_per_s": 200.0}
+    assert comparisons(tiny, [("eager", 1), ("eager", 4)], figures) == {
+        "eager.1.decisions_per_s_per_gflops": 2.0,
+        "eager.1.share_of_limit": 0.025,
+        "eager.4.decisions_per_s_per_gflops": 4.0,
+        "eager.4.share_of_limit": 0.05,
+        "eager.4.cost_per_world_ratio": 0.5,
+    }
+
+
+def test_the_slower_of_computing_and_moving_bytes_is_the_limit() -> None:
+    assert Workload(flops=1e6, bytes=1e3).decisions_per_s(gflops=2, gb_per_s=1) == 2e3
+    assert Workload(flops=1e3, bytes=1e6).decisions_per_s(gflops=2, gb_per_s=1) == 1e3
+
+
+def test_an_overlap_takes_the_operations_that_are_counted() -> None:
+    field = torch.ones(())
+    with OperationCount() as count:
+        overlap_depth(Boxes(*[field] * 6), Boxes(*[field] * 6))
+    assert count.n == OVERLAP
+
+
+def test_work_grows_with_the_sizes(
+    config: RunConfig, game: Game, three_social: Game, three_social_config: RunConfig
+) -> None:
+    work = decision_workload(game, config.scenario)
+    more = decision_workload(three_social, three_social_config.scenario)
+    pair = 6 * 36 * 30 * (OVERLAP + 2)  # a vehicle's combinations against one other
+    assert 2 * pair < work.flops < 2.5e6
+    assert 10 * pair < more.flops - work.flops < 10 * pair + 2 * work.flops  # 4 see 3 each instead of 2 see 1
+    pose_floats = 16 * 3 + 6
+    assert work.bytes == 4 * 84 * 84 + 2 * (2 * (4 * pose_floats + 2) + 16) + 2 * 4 * 5
+    assert more.bytes - work.bytes == 2 * (2 * (4 * pose_floats + 2) + 4 * 5)  # two vehicles more
