@@ -83,8 +83,9 @@ def smallest_gap(trace: Trace, vehicle: VehicleConfig) -> np.ndarray:
 
 
 def _seats(boxes: Boxes, seats: slice) -> Boxes:
-    pose = [field[..., seats] for field in boxes[:4] if isinstance(field, Tensor)]
-    return Boxes(*pose, half_length=boxes.half_length, half_width=boxes.half_width)
+    return boxes._replace(
+        x=boxes.x[..., seats], y=boxes.y[..., seats], cos=boxes.cos[..., seats], sin=boxes.sin[..., seats]
+    )
 
 
 def box_distance(a: Boxes, b: Boxes) -> Tensor:
@@ -138,7 +139,7 @@ def findings(table: pd.DataFrame) -> list[Finding]:
         for (setting, style_s), rows in table.groupby(["setting", "social_style_s"], sort=False):
             known = rows.dropna(subset=measure).sort_values("ego_horizon_s")
             points = list(zip(known["ego_horizon_s"].tolist(), known[measure].tolist(), strict=True))
-            found.append(Finding(str(setting), float(style_s), measure, *_judge(points, sign, tolerance)))
+            found.append(Finding(str(setting), float(str(style_s)), measure, *_judge(points, sign, tolerance)))
     return found
 
 
