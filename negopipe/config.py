@@ -137,7 +137,8 @@ def _check_evaluation(config: RunConfig) -> None:
     planners = [fixed_name(horizon) for horizon in config.evaluation.fixed_horizons_s]
     _require("evaluation.settings", settings, among=config.scenario.families)
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], among=settings)
-    _require("report.side_by_side", config.report.side_by_side, among=planners)
+    if "report" in config.stages:
+        _require("report.side_by_side", config.report.side_by_side, among=planners)
 
 
 def _require(key: str, values: Iterable[str], among: Iterable[str]) -> None:

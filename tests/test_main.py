@@ -74,8 +74,8 @@ def test_help_names_the_experiments_and_needs_no_torch() -> None:
     [
         (["planner.foo=1"], "planner.foo is not a known key, allowed: clearance, cost, horizon_s, "),
         (["+planner.foo=1"], "planner.foo is not a known key, allowed: clearance, cost, horizon_s, "),
-        (["sede=1"], "sede is not a known key, did you mean seed? allowed: algorithm, checkpoint, "),
-        (["+sede=1"], "sede is not a known key, did you mean seed? allowed: algorithm, checkpoint, "),
+        (["sede=1"], "sede is not a known key, did you mean seed? allowed: algorithm, behaviour_map, "),
+        (["+sede=1"], "sede is not a known key, did you mean seed? allowed: algorithm, behaviour_map, "),
         (["planner.horizon_s=-1.0"], "planner.horizon_s must be greater than 0, got -1.0"),
         (["seed=abc"], "seed must be a valid integer, got abc"),
         (["device=tpu"], "device must be one of auto, cpu, cuda, got tpu"),

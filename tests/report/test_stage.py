@@ -82,7 +82,9 @@ def test_everything_is_written_and_logged(run: Run) -> None:
     assert images.count("data:image/svg+xml") == 7
     assert images.count("data:image/gif") == 4  # in each setting one alone and one side by side
     assert run.artifacts == [("figures", "figures"), ("animations", "animations"), ("report.html", "")]
-    assert run.description.startswith("Push: the adaptive planner")
+    over_all, push, *_ = run.description.split("\n\n")
+    assert over_all.startswith("Over all settings the adaptive planner")
+    assert push.startswith("Push: the adaptive planner")
     assert len(list((run.folder / "animations").glob("*.gif"))) == 4
 
 
