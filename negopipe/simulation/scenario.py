@@ -84,11 +84,6 @@ class TaskSampler:
         self.families = pair_styles(families, scenario.pairing)
         self.generator = generator
 
-    @property
-    def family_names(self) -> tuple[str, ...]:
-        """Names in the order of `Task.family`."""
-        return tuple(self.families)
-
     def draw(self, n: int) -> Task:
         """`n` tasks, on the generator's device."""
         scenario, families = self.scenario, list(self.families.values())

@@ -47,7 +47,7 @@ class Task:
     start_speed, desired_speed: [E, V] float32, m/s
     style_horizon: [E, V] float32, s, prediction horizon of the social vehicles; NaN for the ego, who chooses
     direction: [E, V] float32, +1 drives towards +x, -1 towards -x
-    family: [E] int64, index of the task family (push, yield, ...) in `scenario.family_names`
+    family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
     """
 
     start_distance: Tensor

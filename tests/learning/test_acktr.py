@@ -8,10 +8,11 @@ import pytest
 import torch
 import yaml
 from pydantic import TypeAdapter
+from rollouts import episode_statistics
 from torch import Generator, Tensor, nn
 
 from negopipe.learning.acktr import Acktr, AcktrConfig, inner, minibatches, shortening, trust_region_step
-from negopipe.learning.rollout import Rollout, RunningEpisodes, Transition, collect, episode_statistics
+from negopipe.learning.rollout import Rollout, RunningEpisodes, Transition, collect
 from negopipe.policy.actor_critic import ActorCritic, mlp
 
 CPU = torch.device("cpu")

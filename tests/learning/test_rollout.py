@@ -1,9 +1,10 @@
 """Collecting: what is stored, bootstrapped and counted."""
 
 import torch
+from rollouts import episode_statistics
 from torch import Generator, Tensor, nn
 
-from negopipe.learning.rollout import RunningEpisodes, Transition, collect, episode_statistics
+from negopipe.learning.rollout import RunningEpisodes, Transition, collect
 from negopipe.policy.actor_critic import ActorCritic
 
 CPU = torch.device("cpu")
