@@ -21,11 +21,11 @@ class ProgressLine:
         self._is_live = console.is_terminal
         self._bar = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
+            BarColumn(bar_width=6),
             TaskProgressColumn(),
             TextColumn("{task.fields[text]}"),
             TextColumn("left"),
-            TimeRemainingColumn(),
+            TimeRemainingColumn(compact=True),
             console=console,
             disable=not self._is_live,
         )

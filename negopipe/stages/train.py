@@ -93,8 +93,10 @@ class LearningCurve:
 
     def text(self, row: dict) -> str:
         """How it goes, for the progress line."""
-        success, mean = row["success_rate"], row["return_mean"]
-        return f"{row['stage']}  success {success:4.0%}  return {mean:6.1f}  {row['decisions_per_s']:5.0f} decisions/s"
+        went = "no episode over yet"
+        if self._recent:
+            went = f"success {row['success_rate']:4.0%} return {row['return_mean']:5.1f}"
+        return f"{row['stage']} {went} {row['decisions_per_s']:5.0f} decisions/s"
 
     def summary(self) -> dict[str, float]:
         """The `train` part of metrics.json."""
