@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 os.environ.setdefault("GOMP_SPINCOUNT", "30000")
-"""Threads of torch that wait spin for a moment only and then sleep: on shared cores endless spinning made an
-iteration three times slower, and never spinning costs a quarter on idle ones. Read when torch is imported."""
+"""Threads of torch that wait spin for a moment only and then sleep: on shared cores endless spinning made
+collecting three times slower, and never spinning costs a quarter on idle ones. Read when torch is imported."""
 
 FAILURES = "NEGOPIPE_FAILURES"
 """Environment variable: the file in which the jobs of a command note why they failed. An exception would not
