@@ -145,11 +145,11 @@ def _overall(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[
     is_ahead = ours["success_rate"] - theirs["success_rate"] > 2 * _standard_error(ours, theirs)
     verdict = "beats" if is_ahead else "does not beat"
     figures = (
-        f"{planner_label(planner).capitalize()} succeeds in at least "
+        f"{planner_label(planner)} succeeds in at least "
         f"{100 * measured(planner)['success_rate']:.1f} % of the episodes ({weakest(planner)})"
         for planner in (ADAPTIVE, best)
     )
-    text = f"{'; '.join(figures)}, the best of the others."
+    text = f"{'; '.join(figures).capitalize()}, the best of the others."
     return f"Over all settings the adaptive planner {verdict} every other one.", text
 
 

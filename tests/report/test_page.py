@@ -173,7 +173,7 @@ def test_first_headline_is_about_all_settings() -> None:
     assert "beats every other one" in verdict
     assert "Adaptive succeeds in at least 97.0 % of the episodes (yield)" in detail
     detail = detail.replace("\N{NO-BREAK SPACE}", " ")
-    assert "Fixed 6 s succeeds in at least 10.0 % of the episodes (push)" in detail
+    assert "; fixed 6 s succeeds in at least 10.0 % of the episodes (push)" in detail
     assert [verdict.split(":")[0] for verdict, _ in others] == ["Yield", "Push"]
     evaluation["push"]["fixed_6"] = measures(0.99, 0.0, 15.0)
     assert "does not beat" in headlines(evaluation)[0][0]
