@@ -1,0 +1,167 @@
+"""The road's reference line: straight, or a smooth curve of bends; positions along it and beside it.
+
+sigma  arc length, m, with sigma = 0 in the corridor's middle, where the line passes the world's origin along +x
+d      offset from the line to its left, m
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from negopipe.schema import PositiveFloat, schema
+from negopipe.simulation.geometry import smoothstep
+
+REACH_M = 200.0
+"""Bends lie within this distance from the corridor's middle; beyond it the line is straight."""
+
+KNOT_M = 0.5
+"""Spacing of the table of positions; from the nearest lower knot on, the heading is integrated."""
+
+N_SEARCHED = 4
+"""A projection starts at the nearest of every `N_SEARCHED`-th knot."""
+
+N_NEWTON = 3
+"""Newton steps of a projection: from 1 m beside the foot on a bend of 20 m, two leave less than a rounding."""
+
+GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 8 / 18), (0.5 + math.sqrt(0.15), 5 / 18))
+"""Nodes and weights of the Gauss-Legendre rule on [0, 1], exact for polynomials of degree 5."""
+
+
+@schema
+class BendConfig:
+    """A bend: the heading turns by `angle_deg` along the jerk-optimal step, so the curvature starts and ends at 0.
+
+    start_m: arc length from the corridor's middle at which the bend begins
+    length_m: arc length over which it turns
+    angle_deg: how far it turns, positive to the left; the sharpest curvature is 15/8 of angle / length
+    """
+
+    start_m: float
+    length_m: PositiveFloat
+    angle_deg: Annotated[float, Field(gt=-180, lt=180)]
+
+
+class ReferenceLine:
+    """A curve whose heading is a sum of smooth steps; every method takes any shape and keeps the dtype.
+
+    is_straight: the line is the world's x axis (known before anything is computed)
+    """
+
+    def __init__(self, bends: Sequence[BendConfig], device: torch.device | str = "cpu") -> None:
+        turning = [bend for bend in bends if bend.angle_deg != 0]
+        self.is_straight = not turning
+        self._bends = [(bend.start_m, bend.length_m, math.radians(bend.angle_deg)) for bend in turning]
+        self._heading_at_0 = 0.0
+        self._heading_at_0 = float(self.heading(torch.zeros((), dtype=torch.float64)))
+        self._knots = self._tabulate().to(device)  # [2, K] float64, m, world
+        self._searched = self._knots[:, ::N_SEARCHED].contiguous()
+
+    @property
+    def bent_m(self) -> tuple[float, float]:
+        """First and last arc length (m) at which the line bends; it is straight outside. (0, 0) if it never does."""
+        starts = [start for start, _, _ in self._bends]
+        ends = [start + length for start, length, _ in self._bends]
+        return min(starts, default=0.0), max(ends, default=0.0)
+
+    def heading(self, sigma: Tensor) -> Tensor:
+        """[...] rad, world; not wrapped."""
+        heading = torch.full_like(sigma, -self._heading_at_0)
+        for start, length, angle in self._bends:
+            heading = heading + angle * smoothstep((sigma - start) / length)[0]
+        return heading
+
+    def curvature(self, sigma: Tensor) -> tuple[Tensor, Tensor]:
+        """Curvature kappa [...] (1/m, positive to the left) and its derivative kappa' [...] (1/m2) by arc length."""
+        kappa, kappa_prime = torch.zeros_like(sigma), torch.zeros_like(sigma)
+        for start, length, angle in self._bends:
+            _, slope, bend = smoothstep((sigma - start) / length)
+            kappa = kappa + (angle / length) * slope
+            kappa_prime = kappa_prime + (angle / length**2) * bend
+        return kappa, kappa_prime
+
+    def pose(self, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """x, y (m) and heading (rad) of the line at sigma [...], world frame."""
+        if self.is_straight:
+            return sigma, torch.zeros_like(sigma), torch.zeros_like(sigma)
+        knot = torch.floor((sigma + REACH_M) / KNOT_M).clamp(0, self._knots.shape[1] - 1)
+        x, y = self._knots[:, knot.long()].to(sigma.dtype)
+        from_m = knot * KNOT_M - REACH_M
+        dx, dy = self._way(from_m, sigma - from_m)
+        return x + dx, y + dy, self.heading(sigma)
+
+    def place(self, sigma: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
+        """x, y (m, world) of the points at an offset d from the line; the inverse of `project`."""
+        if self.is_straight:
+            return sigma, d
+        x, y, heading = self.pose(sigma)
+        return x - d * torch.sin(heading), y + d * torch.cos(heading)
+
+    def project(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """sigma, d [...] (m) of world positions x, y [...] (m): the foot of the perpendicular from the line.
+
+        Newton's method on (p - r(sigma)) . t(sigma) = 0, whose derivative is -(1 - kappa d). That factor is kept
+        from 0, which it only reaches at a bend's centre, far off any road.
+        """
+        if self.is_straight:
+            return x, y
+        knot_x, knot_y = self._searched.to(x.dtype)
+        nearest = ((x[..., None] - knot_x) ** 2 + (y[..., None] - knot_y) ** 2).argmin(-1)
+        sigma = nearest.to(x.dtype) * (N_SEARCHED * KNOT_M) - REACH_M
+        for _ in range(N_NEWTON):
+            ahead, d = self._seen_from(sigma, x, y)
+            sigma = sigma + ahead / (1 - self.curvature(sigma)[0] * d).clamp(min=0.2)
+        return sigma, self._seen_from(sigma, x, y)[1]
+
+    def _seen_from(self, sigma: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """How far ahead and to the left [...] (m) positions lie, seen from the line's pose at sigma."""
+        line_x, line_y, heading = self.pose(sigma)
+        cos, sin = torch.cos(heading), torch.sin(heading)
+        dx, dy = x - line_x, y - line_y
+        return dx * cos + dy * sin, dy * cos - dx * sin
+
+    def _way(self, from_m: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
+        """Displacement x, y [...] (m) along the line from arc length `from_m` on; exact where it is straight."""
+        dx, dy = torch.zeros_like(length), torch.zeros_like(length)
+        for node, weight in GAUSS:
+            heading = self.heading(from_m + node * length)
+            dx, dy = dx + weight * torch.cos(heading), dy + weight * torch.sin(heading)
+        return length * dx, length * dy
+
+    def _tabulate(self) -> Tensor:
+        """[2, K] float64, m: x, y of the knots, the middle one at the origin.
+
+        Integrated in pieces of 1/16 of a knot's spacing: at a bend's ends only the second derivative of the
+        heading is continuous, which costs a quadrature rule its order.
+        """
+        n_pieces = 16
+        n = round(2 * REACH_M / KNOT_M) * n_pieces
+        piece = KNOT_M / n_pieces
+        from_m = torch.arange(n, dtype=torch.float64) * piece - REACH_M
+        steps = torch.stack(self._way(from_m, torch.full_like(from_m, piece)))
+        way = torch.cat([torch.zeros(2, 1, dtype=torch.float64), steps.cumsum(1)], dim=1)[:, ::n_pieces]
+        return way - way[:, way.shape[1] // 2, None]
+
+
+def check_bends(bends: Sequence[BendConfig], width_m: float) -> None:
+    """Raise ValueError unless a road of `width_m` along these bends keeps clear of its centres and of itself.
+
+    Radii of at least the width keep 1 - kappa d above 1/2 on the road, and a line that turns by less than half a
+    turn in all never meets itself.
+    """
+    for bend in bends:
+        end = bend.start_m + bend.length_m
+        if bend.start_m < -REACH_M or end > REACH_M:
+            raise ValueError(f"bends must lie within {REACH_M:g} m from the corridor, got {bend.start_m:g} to {end:g}")
+    line = ReferenceLine(bends)
+    sigma = torch.arange(-REACH_M, REACH_M, 0.1, dtype=torch.float64)
+    sharpest = float(line.curvature(sigma)[0].abs().max())
+    if sharpest * width_m > 1:
+        raise ValueError(f"bends must have a radius of at least width_m {width_m:g}, got {1 / sharpest:.3g}")
+    heading = line.heading(sigma)
+    turn_deg = math.degrees(float(heading.max() - heading.min()))
+    if turn_deg >= 180:
+        raise ValueError(f"bends must turn by less than 180 deg in all, got {turn_deg:.4g}")
