@@ -3,7 +3,7 @@
 The map, from the bottom up (a part imports only what stands above it here):
 
     schema, errors, seeding   how configs are declared, the user's errors, random streams
-    simulation/   state, geometry, road, scenario (tasks), perception, simulator: the driving game
+    simulation/   state, geometry, reference_line, roadside, road, scenario (tasks), perception, simulator
     planner/      polynomials, longitudinal and lateral candidates, prediction, frenet (the choice)
     observation/  occupancy grids          reward   Eq. 3
     driver        who drives a vehicle     policy/  the network

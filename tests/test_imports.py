@@ -13,6 +13,7 @@ PACKAGE = Path(negopipe.__file__).parent
 FLOORS = (
     ("errors", "schema", "config_errors", "seeding"),
     ("simulation.state", "simulation.geometry"),
+    ("simulation.reference_line", "simulation.roadside"),
     ("simulation.road", "simulation.scenario", "simulation.perception", "planner", "observation", "reward"),
     ("simulation.simulator", "learning.curriculum"),
     ("driver", "env"),

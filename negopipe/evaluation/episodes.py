@@ -140,8 +140,8 @@ def _stands_nose_to_nose(speed: Tensor, world: World, game: Game) -> Tensor:
     """[E] bool: at the end the ego and a social vehicle have stood for 5 s, neither having passed the other."""
     n_steps = round(DEADLOCK_S / game.simulator.scenario.dt_s)
     is_at_rest = (speed[-n_steps:] < AT_REST_MPS).all(0)
-    x = world.task.direction[:, :1] * world.vehicles.position[..., 0]
-    is_ahead = x > x[:, :1]
+    s = game.simulator.road.progress(world.vehicles.position, world.task.direction[:, :1])
+    is_ahead = s > s[:, :1]
     social = is_at_rest & is_ahead & (world.task.direction != world.task.direction[:, :1])
     return is_at_rest[:, EGO] & social.any(-1)
 

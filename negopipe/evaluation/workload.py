@@ -51,10 +51,10 @@ def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
     """Work of one decision at the configured sizes.
 
     With V vehicles, O = V - 1 others, L lateral and C longitudinal candidates, T times, S stations, P parked cars,
-    F frames of H x W cells and K poses remembered:
+    B boxes beyond the kerbs, F frames of H x W cells and K poses remembered:
 
         flops = V [C T sample + L S (station + P overlap) + L C T (check + O (overlap + in_horizon)) + O T predict]
-              + V (O + P) overlap + (F V + P + 2) H (crossing + words * word) + F H W cell
+              + V (O + P) overlap + (F V + P + B) H (crossing + words * word) + F H W cell
         bytes = 2 V (state + K pose + flags) + V task + 2 counters + F H W
     """
     n_vehicles = 1 + scenario.n_social
@@ -62,7 +62,8 @@ def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
     flops = n_vehicles * (_plan(game, n_others, n_parked) + (n_others + n_parked) * OVERLAP)
     n_frames, height, width = game.observation_shape
     n_words = -(-width // _WORD_BITS)
-    n_rows = (n_frames * n_vehicles + n_parked + 2) * height  # of boxes; two lie beyond the kerbs
+    n_beyond_kerbs = game.simulator.road.off_road_boxes().x.numel()
+    n_rows = (n_frames * n_vehicles + n_parked + n_beyond_kerbs) * height  # of boxes
     flops += n_rows * (_CROSSING + n_words * _WORD) + n_frames * height * width * _CELL
     state = 4 * (_STATE_FLOATS + (1 + game.simulator.history_steps) * _POSE_FLOATS) + _FLAG_BYTES
     moved = 2 * (n_vehicles * state + _WORLD_BYTES) + n_vehicles * 4 * _TASK_FLOATS

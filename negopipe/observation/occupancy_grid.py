@@ -66,7 +66,7 @@ class OccupancyGrid:
         self._ahead = (n - cells - 0.5) * config.cell_along_m - config.behind_m  # [H] m, row centres
         self._word_start = torch.arange(0, n, WORD_BITS, device=device)  # [K] first column of each word
         self._bits = torch.arange(WORD_BITS, device=device, dtype=torch.int32)
-        self._static = _static_boxes(road, device)  # fields [R], world frame
+        self._static = _static_boxes(road)  # fields [R], world frame
 
     def draw(self, perception: Perception) -> Tensor:
         """[E, F, H, W] uint8, 1 = occupied; channel 0 is now, channel f is f frame intervals ago.
@@ -133,10 +133,7 @@ def _in_body_frame(boxes: Boxes, pose: Tensor) -> Boxes:
     )
 
 
-def _static_boxes(road: Road, device: torch.device | str) -> Boxes:
-    """Parked cars and, as two wide rectangles, what lies beyond the kerbs."""
-    far = 1000.0  # m, longer than any grid
-    right, left = road.kerb_y_m
-    sides = torch.tensor([[0.0, right - far / 2, 0.0, far, far], [0.0, left + far / 2, 0.0, far, far]], device=device)
-    x, y, yaw, length, width = torch.cat([road.parked_cars, sides]).unbind(-1)
-    return Boxes(x, y, torch.cos(yaw), torch.sin(yaw), length / 2, width / 2)
+def _static_boxes(road: Road) -> Boxes:
+    """Parked cars and what lies beyond the kerbs, fields [R], world frame."""
+    pairs = zip(road.parked_boxes(), road.off_road_boxes(), strict=True)
+    return Boxes(*(torch.cat([torch.as_tensor(a), torch.as_tensor(b)]) for a, b in pairs))

@@ -120,12 +120,14 @@ class FrenetPlanner:
         is_feasible = self._is_drivable(samples)[:, None, :]
         is_feasible = is_feasible & (samples.travelled[:, None, :, -1] <= paths.free_distance[:, :, None])
         predicted = predict(self.config.prediction, self.road, other, direction[:, None], self.times)
-        is_feasible = is_feasible & ~self._conflicts(route, samples, paths, predicted, other.speed, horizon.flatten())
+        is_feasible = is_feasible & ~self._conflicts(
+            route, direction, samples, paths, predicted, other.speed, horizon.flatten()
+        )
         cost = paths.cost[:, :, None] + self._longitudinal_cost(samples, desired_speed)[:, None, :]
         cost, best = torch.where(is_feasible, cost, torch.inf).flatten(1).min(dim=1)
         is_full_braking = torch.isinf(cost)
-        following = self._follow(route, samples, paths, best)
-        braking = self._brake(route, paths)
+        following = self._follow(route, direction, samples, paths, best)
+        braking = self._brake(route, direction, paths)
         after = RouteState(*(torch.where(is_full_braking, b, f) for b, f in zip(braking, following, strict=True)))
         state = self.road.to_world(after, direction)
         return Motion(
@@ -135,9 +137,9 @@ class FrenetPlanner:
         )
 
     def _paths(self, route: RouteState, direction: Tensor, desired_speed: Tensor) -> Paths:
-        coefficients = self.lateral.start(route)
+        coefficients = self.lateral.start(route, direction)
         at = self.stations[None, None]
-        point = self.lateral.follow(coefficients, route.s, at)
+        point = self.lateral.follow(coefficients, route.s, direction, at)
         limits = self.config.limits
         curvature = point.bend.abs() * torch.rsqrt(1 + point.slope**2) ** 3
         allowed = (limits.lateral_accel_max_mps2 / desired_speed**2).clamp(max=limits.curvature_max_1pm)
@@ -180,6 +182,7 @@ class FrenetPlanner:
     def _conflicts(
         self,
         route: RouteState,
+        direction: Tensor,
         samples: LongitudinalSamples,
         paths: Paths,
         predicted: PredictedPath,
@@ -189,7 +192,7 @@ class FrenetPlanner:
         """[N, L, C] bool: the footprint meets a predicted vehicle at some time within the prediction horizon."""
         size, clearance = self.vehicle, self.config.clearance
         travelled = samples.travelled[:, None]  # [N, 1, C, T]
-        point = self.lateral.follow(paths.coefficients, route.s, travelled)
+        point = self.lateral.follow(paths.coefficients, route.s, direction, travelled)
         cos = torch.rsqrt(1 + point.slope**2)
         own = Boxes(
             (route.s[:, None, None, None] + travelled)[:, None],
@@ -209,7 +212,9 @@ class FrenetPlanner:
         depth = overlap_depth(own, other)  # [N, O, L, C, T]
         return torch.where(is_predicted[:, None, None, None, :], depth, -torch.inf).amax((1, -1)) > 0
 
-    def _follow(self, route: RouteState, samples: LongitudinalSamples, paths: Paths, best: Tensor) -> RouteState:
+    def _follow(
+        self, route: RouteState, direction: Tensor, samples: LongitudinalSamples, paths: Paths, best: Tensor
+    ) -> RouteState:
         """State one step along the chosen combination [N] (flat index over L x C)."""
         n_longitudinal = self.longitudinal.n_candidates
         column = (best % n_longitudinal)[:, None]
@@ -217,9 +222,9 @@ class FrenetPlanner:
         is_at_rest = speed < 1e-3
         speed = torch.where(is_at_rest, 0.0, speed)
         accel = torch.where(is_at_rest, 0.0, accel)
-        return self._on_path(route, paths, best // n_longitudinal, travelled.clamp(min=0), speed, accel)
+        return self._on_path(route, direction, paths, best // n_longitudinal, travelled.clamp(min=0), speed, accel)
 
-    def _brake(self, route: RouteState, paths: Paths) -> RouteState:
+    def _brake(self, route: RouteState, direction: Tensor, paths: Paths) -> RouteState:
         """State one step into full braking, on the path that stays free the longest."""
         stretch = torch.sqrt(1 + route.d_prime**2)  # the limit holds along the path, the plan is along the road
         decel, dt = self.config.limits.full_braking_mps2 / stretch, self.dt_s
@@ -227,12 +232,19 @@ class FrenetPlanner:
         travelled = route.s_dot * moving_s - decel * moving_s**2 / 2
         speed = (route.s_dot - decel * dt).clamp(min=0)
         accel = torch.where(speed > 0, -decel, 0.0)
-        return self._on_path(route, paths, paths.free_distance.argmax(1), travelled, speed, accel)
+        return self._on_path(route, direction, paths, paths.free_distance.argmax(1), travelled, speed, accel)
 
     def _on_path(
-        self, route: RouteState, paths: Paths, chosen: Tensor, travelled: Tensor, speed: Tensor, accel: Tensor
+        self,
+        route: RouteState,
+        direction: Tensor,
+        paths: Paths,
+        chosen: Tensor,
+        travelled: Tensor,
+        speed: Tensor,
+        accel: Tensor,
     ) -> RouteState:
-        all_paths = self.lateral.follow(paths.coefficients, route.s, travelled[:, None])
+        all_paths = self.lateral.follow(paths.coefficients, route.s, direction, travelled[:, None])
         point = (field.gather(1, chosen[:, None])[:, 0] for field in all_paths)
         return RouteState(route.s + travelled, speed, accel, *point)
 

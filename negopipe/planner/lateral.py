@@ -49,19 +49,27 @@ class LateralCandidates:
         self._from_state = maps[:, :, :3].contiguous()  # [C, 6, 3] of offset, slope, bend now
         self._from_target = maps[:, :, 3] * offsets[:, None]  # [C, 6]
 
-    def start(self, route: RouteState) -> tuple[Tensor, ...]:
-        """Coefficients c_0 .. c_5, each [N, C], of the quintics that start at the states `route` (fields [N])."""
-        d, slope, bend = self.road.route_offset(route.s)
+    def start(self, route: RouteState, direction: Tensor) -> tuple[Tensor, ...]:
+        """Coefficients c_0 .. c_5, each [N, C], of the quintics that start at the states `route` (fields [N]).
+
+        direction: [N] float32, +1 or -1
+        """
+        d, slope, bend = self.road.route_offset(route.s, direction)
         beside = torch.stack([route.d - d, route.d_prime - slope, route.d_pprime - bend], dim=-1)
         coefficients = torch.einsum("cki,ni->nck", self._from_state, beside) + self._from_target
         return coefficients.unbind(-1)
 
-    def follow(self, coefficients: tuple[Tensor, ...], start_s: Tensor, travelled: Tensor) -> PathPoint:
-        """Points after `travelled` [N, C, ...] (m, along the road) of the paths that start at `start_s` [N] (m)."""
+    def follow(
+        self, coefficients: tuple[Tensor, ...], start_s: Tensor, direction: Tensor, travelled: Tensor
+    ) -> PathPoint:
+        """Points after `travelled` [N, C, ...] (m, along the road) of the paths that start at `start_s` [N] (m).
+
+        direction: [N] float32, +1 or -1
+        """
         extra = travelled.dim() - 2
         columns = tuple(c.reshape(*c.shape, *[1] * extra) for c in coefficients)
         length = self._length.reshape(-1, *[1] * extra)
         value, slope, bend = evaluate(columns, torch.minimum(travelled.clamp(min=0), length))
-        s = start_s.reshape(-1, *[1] * (extra + 1)) + travelled
-        route_d, route_slope, route_bend = self.road.route_offset(s)
+        start_s, direction = (field.reshape(-1, *[1] * (extra + 1)) for field in (start_s, direction))
+        route_d, route_slope, route_bend = self.road.route_offset(start_s + travelled, direction)
         return PathPoint(route_d + value, route_slope + slope, route_bend + bend)

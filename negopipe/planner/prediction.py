@@ -43,8 +43,8 @@ def predict(
     now = road.to_route(other, direction)
     travelled = now.s_dot[..., None] * times
     s = now.s[..., None] + travelled
-    route_d, route_slope, _ = road.route_offset(s)
-    route_d_now, route_slope_now, _ = road.route_offset(now.s)
+    route_d, route_slope, _ = road.route_offset(s, direction[..., None])
+    route_d_now, route_slope_now, _ = road.route_offset(now.s, direction)
     fading = torch.exp(-travelled / config.offset_decay_m)
     offset = (now.d - route_d_now)[..., None] * fading
     slope = route_slope + (now.d_prime - route_slope_now)[..., None] * fading

@@ -47,17 +47,18 @@ class Scene:
     """What stands still, in the world frame, m and rad.
 
     parked_cars: [P, 5] x, y, yaw, length, width
-    kerb_y_m: y of the right and the left kerb
-    corridor_x_m: x of the corridor's two mouths
-    route_m: [R, 2] x (increasing) and y of the route towards +x; the opposite one is its mirror image through
-        the origin
+    line_m: [K, 4] sigma (increasing), x, y and heading of the road's reference line
+    kerbs_m: [2, K, 2] x, y of the right and the left kerb at these sigma
+    corridor_m: [2, M, 2] the same of the corridor, from mouth to mouth
+    route_d_m: [2, K] offset to the line's left of the routes along the line and against it
     vehicle_length_m, vehicle_width_m: footprint of every vehicle
     """
 
     parked_cars: np.ndarray
-    kerb_y_m: tuple[float, float]
-    corridor_x_m: tuple[float, float]
-    route_m: np.ndarray
+    line_m: np.ndarray
+    kerbs_m: np.ndarray
+    corridor_m: np.ndarray
+    route_d_m: np.ndarray
     vehicle_length_m: float
     vehicle_width_m: float
 
@@ -126,9 +127,8 @@ class _Film:
     """Draws frames: what stands still once, what moves on top of it."""
 
     def __init__(self, traces: Sequence[Trace], episode: int, scene: Scene) -> None:
-        reach_m = max(np.abs(trace.position_m[0, episode, :, 0]).max() for trace in traces) + 4
-        low_m, high_m = scene.kerb_y_m[0] - 0.7, scene.kerb_y_m[1] + 0.7
-        road_px = round(WIDTH_PX * (high_m - low_m) / (2 * reach_m))
+        left_m, right_m, low_m, high_m = _view([trace.position_m[0, episode] for trace in traces], scene)
+        road_px = round(WIDTH_PX * (high_m - low_m) / (right_m - left_m))
         height_px = TOP_PX + len(traces) * (HEADER_PX + road_px + 4)
         self.figure = Figure((WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
         self.canvas = FigureCanvasAgg(self.figure)
@@ -136,9 +136,9 @@ class _Film:
         for row, trace in enumerate(traces):
             bottom_px = height_px - TOP_PX - (row + 1) * (HEADER_PX + road_px) - row * 4
             axis = self.figure.add_axes((0, bottom_px / height_px, 1, road_px / height_px))
-            axis.set(xlim=(-reach_m, reach_m), ylim=(low_m, high_m))
+            axis.set(xlim=(left_m, right_m), ylim=(low_m, high_m))
             axis.axis("off")
-            _draw_scene(axis, scene, reach_m)
+            _draw_scene(axis, scene)
             self.panels.append(_Panel(axis, trace, episode, scene))
         self.clock = self.figure.text(0.012, 1 - 5 / height_px, "", va="top", fontsize=12, animated=True)
         self.canvas.draw()
@@ -207,7 +207,7 @@ class _Panel:
         self.horizon.set_text(f"looks {horizon_s:g} s ahead" if has_horizon else "")
         for ribbon, vehicle in zip(self.ribbons, range(1, len(yaw)), strict=True):
             way_m = speed[vehicle] * horizon_s if has_horizon else 0.0
-            ribbon.set_xy(_ribbon(self.scene, position[vehicle], np.cos(yaw[vehicle]), way_m))
+            ribbon.set_xy(_ribbon(self.scene, position[vehicle], yaw[vehicle], way_m))
             ribbon.set_facecolor(horizon_color(horizon_s) if has_horizon else QUIET)
 
     def _show_status(self, is_over: bool, position: np.ndarray, speed: np.ndarray) -> None:
@@ -229,14 +229,21 @@ def _polygon(axis: Axes, color: str, alpha: float = 1.0) -> Polygon:
     return polygon
 
 
-def _draw_scene(axis: Axes, scene: Scene, reach_m: float) -> None:
-    right, left = scene.kerb_y_m
-    first, last = scene.corridor_x_m
-    axis.add_patch(Rectangle((-reach_m, right - 5), 2 * reach_m, left - right + 10, color=GROUND, lw=0))
-    axis.add_patch(Rectangle((-reach_m, right), 2 * reach_m, left - right, color=ROAD, lw=0))
-    axis.add_patch(Rectangle((first, right), last - first, left - right, color=CORRIDOR, lw=0))
-    for y in scene.kerb_y_m:
-        axis.plot([-reach_m, reach_m], [y, y], color=INK, linewidth=1.0)
+def _view(starts: Sequence[np.ndarray], scene: Scene) -> tuple[float, float, float, float]:
+    """Left, right, lower and upper limit of a panel, m: the road between the outermost of `starts` (each [V, 2])."""
+    sigma = scene.line_m[:, 0]
+    reach_m = max(abs(_along(scene, position)[0]) for start in starts for position in start) + 4
+    shown = np.linspace(-reach_m, reach_m, 201)
+    x, y = (np.concatenate([np.interp(shown, sigma, kerb[:, axis]) for kerb in scene.kerbs_m]) for axis in (0, 1))
+    return x.min(), x.max(), y.min() - 0.7, y.max() + 0.7
+
+
+def _draw_scene(axis: Axes, scene: Scene) -> None:
+    axis.add_patch(Rectangle((0, 0), 1, 1, transform=axis.transAxes, color=GROUND, lw=0))
+    for (right, left), color in ((scene.kerbs_m, ROAD), (scene.corridor_m, CORRIDOR)):
+        axis.add_patch(Polygon(np.concatenate([right, left[::-1]]), color=color, lw=0))
+    for kerb in scene.kerbs_m:
+        axis.plot(*kerb.T, color=INK, linewidth=1.0)
     for x, y, yaw, length, width in scene.parked_cars:
         corners = _corners(np.array([x, y]), yaw, (-length / 2, length / 2), width)
         axis.add_patch(Polygon(corners, facecolor=PARKED, edgecolor=QUIET, lw=0.8))
@@ -250,11 +257,22 @@ def _corners(center: np.ndarray, yaw_rad: float, along_m: tuple[float, float], w
     return center + body @ np.array([[cos, sin], [-sin, cos]])
 
 
-def _ribbon(scene: Scene, position: np.ndarray, heading_x: float, way_m: float) -> np.ndarray:
-    """[2N, 2] outline of the next `way_m` metres of the route of a vehicle at `position`."""
-    direction = np.sign(heading_x)
-    x = position[0] + direction * np.linspace(0, way_m, 24)
-    route_x, route_y = scene.route_m.T
-    y = direction * np.interp(direction * x, route_x, route_y)
+def _along(scene: Scene, position: np.ndarray) -> tuple[float, float]:
+    """sigma (m) of a position [2] on the road, and the line's heading there (rad)."""
+    sigma, x, y, heading = scene.line_m[np.hypot(*(scene.line_m[:, 1:3] - position).T).argmin()]
+    ahead = (position[0] - x) * np.cos(heading) + (position[1] - y) * np.sin(heading)
+    return float(sigma + ahead), float(heading)
+
+
+def _ribbon(scene: Scene, position: np.ndarray, yaw_rad: float, way_m: float) -> np.ndarray:
+    """[2N, 2] outline of the next `way_m` metres along the road of the route of a vehicle at `position`."""
+    start, line_heading = _along(scene, position)
+    is_against = bool(np.cos(yaw_rad - line_heading) < 0)
+    sigma = start + (-1 if is_against else 1) * np.linspace(0, way_m, 24)
+    d, x, y, heading = (
+        np.interp(sigma, scene.line_m[:, 0], values)
+        for values in (scene.route_d_m[int(is_against)], *scene.line_m[:, 1:].T)
+    )
     half = 0.8 * scene.vehicle_width_m / 2
-    return np.concatenate([np.stack([x, y - half], -1), np.stack([x, y + half], -1)[::-1]])
+    right, left = (np.stack([x - e * np.sin(heading), y + e * np.cos(heading)], -1) for e in (d - half, d + half))
+    return np.concatenate([right, left[::-1]])

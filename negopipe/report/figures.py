@@ -268,22 +268,24 @@ def horizons(traces: Sequence[Trace]) -> Figure:
 
 
 @styled
-def space_time(traces: Sequence[Trace], episode: int, corridor_x_m: tuple[float, float]) -> Figure:
-    """One episode under every planner: where both vehicles are along the road over time.
+def space_time(traces: Sequence[Trace], episode: int, corridor_sigma_m: tuple[float, float]) -> Figure:
+    """One episode under every planner: where both vehicles are along the road's reference line over time.
 
     traces: of one family; the ego's line has the colour of the prediction horizon of that decision
+    corridor_sigma_m: where the corridor begins and ends on the line, which the ego drives along
     """
+    half_m = (corridor_sigma_m[1] - corridor_sigma_m[0]) / 2
     figure, axes = _two_columns(len(traces), 1.6)
-    road_end_m = 1.1 * max(np.abs(trace.position_m[0, episode, :, 0]).max() for trace in traces)
+    road_end_m = 1.1 * max(np.abs(trace.progress_m[0, episode] - half_m).max() for trace in traces)
     duration_s = max(trace.n_steps[episode] * trace.dt_s for trace in traces)
     for axis, trace in zip(axes, traces, strict=True):
-        axis.axhspan(*corridor_x_m, color=CORRIDOR, zorder=0)
-        _space_time_lines(axis, trace, episode)
+        axis.axhspan(*corridor_sigma_m, color=CORRIDOR, zorder=0)
+        _space_time_lines(axis, trace, episode, half_m)
         outcome = OUTCOMES[trace.outcome[episode]]
         axis.set_title(f"{planner_label(trace.planner)}: {outcome}")
         axis.set(xlim=(0, 1.03 * duration_s), ylim=(-road_end_m, road_end_m))
     for axis in axes[::2]:
-        axis.set_ylabel("road x [m]")
+        axis.set_ylabel("along the road [m]")
     figure.supxlabel("time [s]", fontsize=STYLE["axes.labelsize"])
     chosen = np.concatenate([trace.horizon_s[: trace.n_steps[episode], episode, EGO] for trace in traces])
     social = Line2D([], [], color=INK, linestyle="--", label="social vehicle")
@@ -292,18 +294,19 @@ def space_time(traces: Sequence[Trace], episode: int, corridor_x_m: tuple[float,
     return figure
 
 
-def _space_time_lines(axis: Axes, trace: Trace, episode: int) -> None:
+def _space_time_lines(axis: Axes, trace: Trace, episode: int, half_m: float) -> None:
     end = trace.n_steps[episode]
     time_s = np.arange(end + 1) * trace.dt_s
-    x = trace.position_m[: end + 1, episode, :, 0]
+    from_middle = trace.progress_m[: end + 1, episode] - half_m
+    sigma = np.where(np.arange(from_middle.shape[1]) == EGO, from_middle, -from_middle)  # the others come towards it
     horizon = trace.horizon_s[:end, episode, EGO]
-    points = np.stack([time_s, x[:, EGO]], -1)
+    points = np.stack([time_s, sigma[:, EGO]], -1)
     colors = [horizon_color(h) if np.isfinite(h) else QUIET for h in horizon]
     segments = list(np.stack([points[:-1], points[1:]], 1))
     axis.add_collection(LineCollection(segments, colors=colors, linewidths=2.4, capstyle="round"))
-    axis.plot(time_s, x[:, EGO + 1 :], color=INK, linestyle="--", linewidth=1.1)
+    axis.plot(time_s, sigma[:, EGO + 1 :], color=INK, linestyle="--", linewidth=1.1)
     if OUTCOMES[trace.outcome[episode]] == "collision":
-        axis.plot(time_s[-1], x[-1, EGO], "X", color=OUTCOME_COLORS["collision"], markersize=9, zorder=4)
+        axis.plot(time_s[-1], sigma[-1, EGO], "X", color=OUTCOME_COLORS["collision"], markersize=9, zorder=4)
 
 
 TRAINING_PANELS = {

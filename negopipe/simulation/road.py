@@ -1,7 +1,7 @@
 """The road: kerbs, parked cars, the corridor between them, and the route that a vehicle follows through it."""
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from pydantic import model_validator
@@ -9,17 +9,24 @@ from torch import Tensor
 
 from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
 from negopipe.simulation.geometry import Boxes, smoothstep, wrap_angle
+from negopipe.simulation.reference_line import BendConfig, ReferenceLine, check_bends
+from negopipe.simulation.roadside import beyond_kerbs
 from negopipe.simulation.state import VehicleState
+
+KERB_STEP_M = 0.5
+"""Spacing of the points of a drawn kerb."""
 
 
 @schema
 class RoadConfig:
     """Sizes of the road in metres; see `conf/scenario/narrow_lane.yaml` for each one's meaning."""
 
+    bends: list[BendConfig]
     width_m: PositiveFloat
     lane_offset_m: PositiveFloat
     corridor_length_m: PositiveFloat
     corridor_gap_m: PositiveFloat
+    parked_sides: Literal["both", "left", "right"]
     parked_car_length_m: PositiveFloat
     parked_car_width_m: PositiveFloat
     n_parked_per_side: PositiveInt
@@ -29,17 +36,19 @@ class RoadConfig:
 
     @model_validator(mode="after")
     def _fits(self) -> "RoadConfig":
-        outer = self.corridor_gap_m / 2 + self.parked_car_width_m
-        if outer > self.width_m / 2 + 1e-6:
+        n_rows = 2 if self.parked_sides == "both" else 1
+        needed = self.corridor_gap_m + n_rows * self.parked_car_width_m
+        if needed > self.width_m + 1e-6:
             raise ValueError(
                 f"corridor_gap_m {self.corridor_gap_m} and parked_car_width_m {self.parked_car_width_m} need a "
-                f"width_m of at least {2 * outer:g}, got {self.width_m}"
+                f"width_m of at least {needed:g} with parked_sides {self.parked_sides}, got {self.width_m}"
             )
         if self.n_parked_per_side * self.parked_car_length_m > self.corridor_length_m + 1e-6:
             raise ValueError(
                 f"n_parked_per_side {self.n_parked_per_side} cars of {self.parked_car_length_m} m do not fit into "
                 f"corridor_length_m {self.corridor_length_m}"
             )
+        check_bends(self.bends, self.width_m)
         return self
 
 
@@ -60,30 +69,60 @@ class RouteState(NamedTuple):
 
 
 class Road:
-    """A straight two-lane road along the world's x axis whose corridor is centred at x = 0.
+    """A two-lane road along its reference line, on which the corridor's middle is sigma = 0.
 
+    reference: the line in the middle between the kerbs; sigma (m) along it towards +x, d (m) to its left
+    parked_on_line: [P, 4] float32, sigma, d, length, width, m; each car stands along the line's tangent
     parked_cars: [P, 5] float32, x, y, yaw, length, width; world frame, m and rad
-    kerb_y_m: (right, left) y of the kerbs, m, world frame
-    corridor_x_m: (first, last) x of the corridor, m, world frame
+    corridor_sigma_m: (first, last) sigma of the corridor, m
     target_s_m: s at which a vehicle has arrived
     """
 
     def __init__(self, config: RoadConfig, device: torch.device | str = "cpu") -> None:
         self.config = config
-        self.kerb_y_m = (-config.width_m / 2, config.width_m / 2)
-        self.corridor_x_m = (-config.corridor_length_m / 2, config.corridor_length_m / 2)
+        self.reference = ReferenceLine(config.bends, device)
+        self.corridor_sigma_m = (-config.corridor_length_m / 2, config.corridor_length_m / 2)
         self.target_s_m = config.corridor_length_m + config.target_distance_m
-        self.parked_cars = _park(config).to(device)
+        self._gap_middle_m = _gap_middle(config)
+        self.parked_on_line = _park(config).to(device)
+        sigma, d, length, width = self.parked_on_line.unbind(-1)
+        yaw = self.reference.heading(sigma)
+        self.parked_cars = torch.stack([*self.reference.place(sigma, d), yaw, length, width], dim=-1)
 
     def parked_boxes(self) -> Boxes:
         """Footprints of the parked cars, fields [P], world frame."""
         x, y, yaw, length, width = self.parked_cars.unbind(-1)
         return Boxes(x, y, torch.cos(yaw), torch.sin(yaw), length / 2, width / 2)
 
-    def route_offset(self, s: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def off_road_boxes(self) -> Boxes:
+        """Rectangles that cover what lies beyond the kerbs, as far as a vehicle sees; fields [R], world frame."""
+        return beyond_kerbs(self.reference, self.config.width_m, self.parked_cars.device)
+
+    def kerb_lines(self, first_m: float, last_m: float) -> Tensor:
+        """Points of the right and the left kerb from sigma `first_m` to `last_m`, [2, K, 2] float32, m, world."""
+        n_points = max(2, math.ceil((last_m - first_m) / KERB_STEP_M) + 1)
+        sigma = torch.linspace(first_m, last_m, n_points, device=self.parked_cars.device)
+        half = torch.full_like(sigma, self.config.width_m / 2)
+        return torch.stack([torch.stack(self.reference.place(sigma, d), dim=-1) for d in (-half, half)])
+
+    def is_off_road(self, boxes: Boxes) -> Tensor:
+        """[...] bool: a footprint (fields [...], world frame) reaches over a kerb.
+
+        On a bent road the corners and the middles of the long sides are tested: a side of 4.5 m across an inner
+        kerb of radius 20 m reaches at most 4 cm deeper between two of these points.
+        """
+        half_road = self.config.width_m / 2
+        if self.reference.is_straight:
+            reach = boxes.half_length * boxes.sin.abs() + boxes.half_width * boxes.cos.abs()
+            return boxes.y.abs() + reach > half_road
+        x, y = _rim(boxes)
+        return (self.reference.project(x, y)[1].abs() > half_road).any(-1)
+
+    def route_offset(self, s: Tensor, direction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Where the route runs at s [...]: offset d (m), d' and d'' by s: own lane, corridor, own lane.
 
-        Outside the corridor the route keeps right (negative d); it is symmetric about the corridor's middle.
+        Outside the corridor the route keeps right (negative d), inside it follows the gap's middle line; it is
+        symmetric about the corridor's middle. `direction` (+1 or -1) broadcasts with s.
         """
         config = self.config
         half = config.corridor_length_m / 2
@@ -92,42 +131,117 @@ class Road:
         value, slope, bend = smoothstep(beyond)
         slope = slope * torch.sign(from_middle) / config.swerve_length_m
         bend = bend / config.swerve_length_m**2
-        return -config.lane_offset_m * value, -config.lane_offset_m * slope, -config.lane_offset_m * bend
+        if self._gap_middle_m == 0:
+            return -config.lane_offset_m * value, -config.lane_offset_m * slope, -config.lane_offset_m * bend
+        middle = direction * self._gap_middle_m
+        shift = -config.lane_offset_m - middle
+        return middle + shift * value, shift * slope, shift * bend
+
+    def curvature(self, s: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
+        """kappa (1/m, positive to the left) and kappa' (1/m2, by s) of the line at s [...], seen by a driver.
+
+        `direction` (+1 or -1) broadcasts with s.
+        """
+        kappa, kappa_prime = self.reference.curvature(self._sigma(s, direction))
+        return direction * kappa, kappa_prime
 
     def progress(self, position: Tensor, direction: Tensor) -> Tensor:
         """s [...] (m) of world positions [..., 2] for vehicles that drive in `direction` [...] (+1 or -1)."""
-        return direction * position[..., 0] + self.config.corridor_length_m / 2
+        sigma, _ = self.reference.project(*position.unbind(-1))
+        return direction * sigma + self.config.corridor_length_m / 2
 
     def to_route(self, vehicles: VehicleState, direction: Tensor) -> RouteState:
-        """World frame -> route frame of the driving direction [...] (+1 along x, -1 against it)."""
+        """World frame -> route frame of the driving direction [...] (+1 along the line, -1 against it).
+
+        Werling 2010, Appendix I; `bulge` is (kappa d)', `stretch` is metres of path per metre of the line.
+        """
+        if self.reference.is_straight:
+            return self._to_straight_route(vehicles, direction)
+        sigma, d = self.reference.project(*vehicles.position.unbind(-1))
+        d = direction * d
+        kappa, kappa_prime = self.reference.curvature(sigma)
+        kappa = direction * kappa
+        heading = wrap_angle(vehicles.yaw - self.reference.heading(sigma) - (1 - direction) * (math.pi / 2))
+        scale, cos, tan = 1 - kappa * d, torch.cos(heading), torch.tan(heading)
+        stretch = scale / cos
+        d_prime = scale * tan
+        bulge = kappa_prime * d + kappa * d_prime
+        turn = vehicles.curvature * stretch - kappa  # of the heading relative to the line, by s
+        s_dot = vehicles.speed / stretch
+        s_ddot = (vehicles.accel - s_dot**2 * (d_prime * turn - bulge) / cos) / stretch
+        s = direction * sigma + self.config.corridor_length_m / 2
+        return RouteState(s, s_dot, s_ddot, d, d_prime, stretch * turn / cos - bulge * tan)
+
+    def to_world(self, route: RouteState, direction: Tensor) -> VehicleState:
+        """Route frame -> world frame, the inverse of `to_route`."""
+        if self.reference.is_straight:
+            return self._to_straight_world(route, direction)
+        sigma = self._sigma(route.s, direction)
+        kappa, kappa_prime = self.reference.curvature(sigma)
+        kappa = direction * kappa
+        scale = 1 - kappa * route.d
+        bulge = kappa_prime * route.d + kappa * route.d_prime
+        heading = torch.atan(route.d_prime / scale)
+        cos, tan = torch.cos(heading), route.d_prime / scale
+        stretch = scale / cos
+        turn = (route.d_pprime + bulge * tan) * cos / stretch
+        yaw = heading + self.reference.heading(sigma) + (1 - direction) * (math.pi / 2)
+        return VehicleState(
+            position=torch.stack(self.reference.place(sigma, direction * route.d), dim=-1),
+            yaw=wrap_angle(yaw),
+            speed=route.s_dot * stretch,
+            accel=route.s_ddot * stretch + route.s_dot**2 * (route.d_prime * turn - bulge) / cos,
+            curvature=(turn + kappa) / stretch,
+        )
+
+    def _to_straight_route(self, vehicles: VehicleState, direction: Tensor) -> RouteState:
         heading = wrap_angle(vehicles.yaw - (1 - direction) * (math.pi / 2))
         d_prime = torch.tan(heading)
-        stretch = torch.sqrt(1 + d_prime**2)  # metres of path per metre of road
+        stretch = torch.sqrt(1 + d_prime**2)
         d_pprime = vehicles.curvature * stretch**3
         s_dot = vehicles.speed / stretch
         s_ddot = (vehicles.accel - s_dot**2 * d_prime * d_pprime / stretch) / stretch
         s = self.progress(vehicles.position, direction)
         return RouteState(s, s_dot, s_ddot, direction * vehicles.position[..., 1], d_prime, d_pprime)
 
-    def to_world(self, route: RouteState, direction: Tensor) -> VehicleState:
-        """Route frame -> world frame, the inverse of `to_route`."""
+    def _to_straight_world(self, route: RouteState, direction: Tensor) -> VehicleState:
         stretch = torch.sqrt(1 + route.d_prime**2)
-        x = direction * (route.s - self.config.corridor_length_m / 2)
         heading = torch.atan(route.d_prime)
         return VehicleState(
-            position=torch.stack([x, direction * route.d], dim=-1),
+            position=torch.stack([self._sigma(route.s, direction), direction * route.d], dim=-1),
             yaw=wrap_angle(heading + (1 - direction) * (math.pi / 2)),
             speed=route.s_dot * stretch,
             accel=route.s_ddot * stretch + route.s_dot**2 * route.d_prime * route.d_pprime / stretch,
             curvature=route.d_pprime / stretch**3,
         )
 
+    def _sigma(self, s: Tensor, direction: Tensor) -> Tensor:
+        return direction * (s - self.config.corridor_length_m / 2)
+
+
+def _gap_middle(config: RoadConfig) -> float:
+    """d (m) of the middle line between the parked cars, or between them and the opposite kerb."""
+    towards_free_kerb = {"both": 0, "left": -1, "right": 1}[config.parked_sides]
+    return towards_free_kerb * (config.width_m - config.corridor_gap_m) / 2
+
 
 def _park(config: RoadConfig) -> Tensor:
-    """Both rows of parked cars [P, 5], evenly spread so that each row fills the corridor from end to end."""
+    """The rows of parked cars [P, 4] on the line, evenly spread so that each row fills the corridor."""
     n, length, width = config.n_parked_per_side, config.parked_car_length_m, config.parked_car_width_m
     last = (config.corridor_length_m - length) / 2
-    x = torch.linspace(-last, last, n) if n > 1 else torch.zeros(1)
-    y = torch.full((n,), (config.corridor_gap_m + width) / 2)
-    size = torch.tensor([0.0, length, width]).expand(n, 3)
-    return torch.cat([torch.column_stack([x, side * y, size]) for side in (-1, 1)])
+    sigma = torch.linspace(-last, last, n) if n > 1 else torch.zeros(1)
+    size = torch.tensor([length, width]).expand(n, 2)
+    from_middle = (config.corridor_gap_m + width) / 2
+    sides = {"both": (-1, 1), "left": (1,), "right": (-1,)}[config.parked_sides]
+    rows = [torch.full((n, 1), _gap_middle(config) + side * from_middle) for side in sides]
+    return torch.cat([torch.cat([sigma[:, None], d, size], dim=1) for d in rows])
+
+
+def _rim(boxes: Boxes) -> tuple[Tensor, Tensor]:
+    """x, y [..., 6] (m) of the corners and of the long sides' middles."""
+    ahead = torch.tensor([1.0, 0.0, -1.0, 1.0, 0.0, -1.0], device=boxes.x.device)
+    left = torch.tensor([1.0, 1.0, 1.0, -1.0, -1.0, -1.0], device=boxes.x.device)
+    half_length, half_width = (torch.as_tensor(half)[..., None] for half in (boxes.half_length, boxes.half_width))
+    u, v = ahead * half_length, left * half_width
+    cos, sin = boxes.cos[..., None], boxes.sin[..., None]
+    return boxes.x[..., None] + u * cos - v * sin, boxes.y[..., None] + u * sin + v * cos

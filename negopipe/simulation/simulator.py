@@ -48,10 +48,8 @@ class Simulator:
         """Worlds [E] at the start of their tasks: own lane, along the road, at start speed."""
         s = -task.start_distance
         zero = torch.zeros_like(s)
-        d, d_prime, d_pprime = self.road.route_offset(s)
-        stretch = torch.sqrt(1 + d_prime**2)
-        start = RouteState(s, task.start_speed / stretch, zero, d, d_prime, d_pprime)
-        vehicles = replace(self.road.to_world(start, task.direction), accel=zero)
+        start = RouteState(s, task.start_speed, zero, *self.road.route_offset(s, task.direction))
+        vehicles = replace(self.road.to_world(start, task.direction), speed=task.start_speed, accel=zero)
         no = torch.zeros_like(s, dtype=torch.bool)
         pose = _pose(vehicles)
         history = pose[:, None].expand(-1, 1 + self.history_steps, -1, -1).contiguous()
@@ -91,11 +89,8 @@ class Simulator:
             cos=boxes.cos[:, self._others],
             sin=boxes.sin[:, self._others],
         )
-        reach = size.length_m / 2 * boxes.sin.abs() + size.width_m / 2 * boxes.cos.abs()
-        right, left = self.road.kerb_y_m
-        is_off_road = (y - reach < right) | (y + reach > left)
         hits_parked = (overlap_depth(own, self.road.parked_boxes()) > 0).any(-1)
-        return (overlap_depth(own, others) > 0).any(-1) | hits_parked | is_off_road
+        return (overlap_depth(own, others) > 0).any(-1) | hits_parked | self.road.is_off_road(boxes)
 
     def _events(self, world: World) -> Events:
         is_collision = world.has_collided.any(-1)

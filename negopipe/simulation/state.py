@@ -4,9 +4,11 @@ Axes: E worlds, V vehicles (column 0 is the ego, the others are social), T time,
 H/W rows and columns of the grid, C candidates of the planner.
 
 Frames
-    world   right-handed, metres; the road's reference line is its x axis and x = 0 is the corridor's middle.
-    route   per vehicle: `s` along its own driving direction with s = 0 at the mouth of the corridor that the
-            vehicle meets first, `d` to its own left; the corridor spans 0 <= s <= corridor length.
+    world   right-handed, metres; the corridor's middle is the origin and the road's reference line leaves it
+            along +x. A straight road's line is the x axis.
+    line    of the road: `sigma` along the reference line with sigma = 0 in the corridor's middle, `d` to its left.
+    route   per vehicle: `s` along the line in its own driving direction with s = 0 at the mouth of the corridor
+            that the vehicle meets first, `d` to its own left; the corridor spans 0 <= s <= corridor length.
     body    x ahead, y to the left, origin at the centre of the footprint.
 """
 
@@ -46,7 +48,7 @@ class Task:
     start_distance: [E, V] float32, m, from the vehicle's centre to the mouth that it meets first
     start_speed, desired_speed: [E, V] float32, m/s
     style_horizon: [E, V] float32, s, prediction horizon of the social vehicles; NaN for the ego, who chooses
-    direction: [E, V] float32, +1 drives towards +x, -1 towards -x
+    direction: [E, V] float32, +1 drives towards growing sigma (+x in the corridor), -1 against it
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
     """
 

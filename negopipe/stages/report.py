@@ -84,7 +84,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     log.info("report: figures")
     sections = [
         _planners(drawings, table),
-        _negotiations(drawings, traces, road.corridor_x_m),
+        _negotiations(drawings, traces, road.corridor_sigma_m),
         _animations(config.report, films, traces, make_scene(config.scenario, road)),
         _behaviour(drawings, traces),
         _training(drawings, run.folder / "history.csv"),
@@ -101,13 +101,17 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
 
 def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
     """The road as plain arrays for drawing."""
-    s = torch.linspace(-60.0, 60.0 + scenario.road.corridor_length_m, 481)
-    x = s - scenario.road.corridor_length_m / 2
+    reach_m = 60.0 + scenario.road.corridor_length_m / 2
+    kerbs = road.kerb_lines(-reach_m, reach_m)
+    sigma = torch.linspace(-reach_m, reach_m, kerbs.shape[1])
+    direction = torch.tensor([[1.0], [-1.0]])
+    s = direction * sigma + scenario.road.corridor_length_m / 2
     return Scene(
         parked_cars=road.parked_cars.cpu().numpy(),
-        kerb_y_m=road.kerb_y_m,
-        corridor_x_m=road.corridor_x_m,
-        route_m=torch.stack([x, road.route_offset(s)[0]], -1).numpy(),
+        line_m=torch.stack([sigma, *road.reference.pose(sigma)], -1).numpy(),
+        kerbs_m=kerbs.numpy(),
+        corridor_m=road.kerb_lines(*road.corridor_sigma_m).numpy(),
+        route_d_m=(direction * road.route_offset(s, direction)[0]).numpy(),
         vehicle_length_m=scenario.vehicle.length_m,
         vehicle_width_m=scenario.vehicle.width_m,
     )
@@ -129,11 +133,11 @@ def _planners(gallery: _Gallery, table: pd.DataFrame) -> Section:
     return Section("Planners compared", "", exhibits)
 
 
-def _negotiations(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_x_m: tuple[float, float]) -> Section:
+def _negotiations(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_sigma_m: tuple[float, float]) -> Section:
     exhibits = []
     for setting, group in traces.items():
         episode = animation.choose_episodes(_adaptive(group), 1)[0]
-        drawing = figures.space_time(group, episode, corridor_x_m)
+        drawing = figures.space_time(group, episode, corridor_sigma_m)
         title, reading = caption("space_time", setting=setting.capitalize())
         exhibits.append(gallery.figure(f"space_time_{setting}", drawing, title, reading))
     return Section("Negotiations", "", exhibits)

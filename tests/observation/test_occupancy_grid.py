@@ -24,7 +24,7 @@ def some_worlds(config: RunConfig, game: Game, n_steps: int) -> World:
 
 def is_occupied(game: Game, world: World, e: int, steps_ago: int, x: float, y: float) -> bool:
     road = game.simulator.road
-    if not road.kerb_y_m[0] < y < road.kerb_y_m[1]:
+    if abs(y) >= road.config.width_m / 2:
         return True
     boxes = [tuple(car) for car in road.parked_cars.tolist()]
     boxes += [(*pose, 4.5, 1.8) for pose in world.pose_history[e, steps_ago].tolist()]

@@ -20,12 +20,16 @@ STYLE_S = {"yield": 2.0, "push": 6.0}
 def make_scene() -> Scene:
     """Three parked cars on each side of a 12 m corridor."""
     cars = [(x, side * 2.55, 0.0, 3.6, 1.9) for side in (-1, 1) for x in (-4.2, 0.0, 4.2)]
-    s = np.linspace(-40.0, 60.0, 201)
+    sigma = np.linspace(-46.0, 46.0, 185)
+    straight = np.zeros_like(sigma)
+    kerb = np.full_like(sigma, 3.5)
+    keep_right = _offset(sigma + CORRIDOR_M / 2)
     return Scene(
         parked_cars=np.array(cars),
-        kerb_y_m=(-3.5, 3.5),
-        corridor_x_m=(-6.0, 6.0),
-        route_m=np.stack([s - CORRIDOR_M / 2, _offset(s)], -1),
+        line_m=np.stack([sigma, sigma, straight, straight], -1),
+        kerbs_m=np.stack([np.stack([sigma, side * kerb], -1) for side in (-1, 1)]),
+        corridor_m=np.array([[(x, side * 3.5) for x in (-6.0, 6.0)] for side in (-1, 1)]),
+        route_d_m=np.stack([keep_right, -keep_right]),
         vehicle_length_m=4.5,
         vehicle_width_m=1.8,
     )

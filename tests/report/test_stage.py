@@ -131,8 +131,15 @@ def test_planners_must_have_driven_the_same_tasks(run: Run) -> None:
 def test_the_scene_is_the_road(run: Run) -> None:
     config = Config().scenario
     scene = report.make_scene(config, Road(config.road))
-    x, y = scene.route_m.T
-    assert y[abs(x) < 6].tolist() == pytest.approx([0.0] * int((abs(x) < 6).sum()))
-    assert y[abs(x) > 17].tolist() == pytest.approx([-config.road.lane_offset_m] * int((abs(x) > 17).sum()))
+    sigma, x, y, heading = scene.line_m.T
+    assert (x == sigma).all()
+    assert not y.any()
+    assert not heading.any()
+    lane, half_width = config.road.lane_offset_m, config.road.width_m / 2
+    for side, d in zip((-1, 1), scene.route_d_m, strict=True):
+        assert d[abs(x) < 6].tolist() == pytest.approx([0.0] * int((abs(x) < 6).sum()))
+        assert d[abs(x) > 17].tolist() == pytest.approx([side * lane] * int((abs(x) > 17).sum()))
+    assert scene.kerbs_m[:, 0].tolist() == [[x[0], -half_width], [x[0], half_width]]
+    assert scene.corridor_m[:, [0, -1], 0].tolist() == [[-6.0, 6.0]] * 2
     assert (scene.vehicle_length_m, scene.vehicle_width_m) == (4.5, 1.8)
     assert scene.parked_cars.shape == (2 * config.road.n_parked_per_side, 5)
