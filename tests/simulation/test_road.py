@@ -306,3 +306,14 @@ def test_kerbs_are_half_a_width_from_the_line(config: RunConfig) -> None:
         offset = road.reference.project(*kerb.unbind(-1))[1]
         torch.testing.assert_close(offset, torch.full_like(offset, d), atol=1e-4, rtol=0)
     assert float(road.progress(right[-1], torch.tensor(1.0))) == pytest.approx(56.0, abs=1e-4)
+
+
+def test_a_bent_road_compiles_into_one_graph(config: RunConfig) -> None:
+    road = road_with(config, bends=SHARP_S)
+    vehicles, direction = on_bent_road(road, 8, torch.float32)
+
+    def there_and_back(vehicles: VehicleState, direction: torch.Tensor) -> VehicleState:
+        return road.to_world(road.to_route(vehicles, direction), direction)
+
+    compiled = torch.compile(there_and_back, backend="eager", fullgraph=True)(vehicles, direction)
+    torch.testing.assert_close(compiled.position, there_and_back(vehicles, direction).position)

@@ -8,9 +8,11 @@ from negopipe import CONF
 from negopipe.config import RunConfig
 from negopipe.env import Game, build_game
 from negopipe.gym_env import compose_config
+from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
 from negopipe.simulation.perception import perceive
+from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import EGO
+from negopipe.simulation.state import EGO, VehicleState
 
 NAMES = sorted(path.stem for path in (CONF / "scenario").glob("*.yaml"))
 
@@ -31,17 +33,30 @@ def test_nobody_starts_in_a_collision(built: tuple[RunConfig, Game]) -> None:
     torch.testing.assert_close(-s, world.task.start_distance, atol=1e-4, rtol=0)
 
 
-def test_a_vehicle_on_its_route_touches_nothing(built: tuple[RunConfig, Game]) -> None:
-    # alone along the whole road in both directions: the corridor is passable, in a bend too
+@pytest.fixture(scope="module")
+def on_route(built: tuple[RunConfig, Game]) -> VehicleState:
+    """Vehicles all along the road, [S, 2] for both directions, standing on their route."""
+    road = built[1].simulator.road
+    s, direction = torch.linspace(-60.0, 80.0, 1401)[:, None].expand(-1, 2), torch.tensor([1.0, -1.0])
+    still = torch.zeros_like(s)
+    return road.to_world(RouteState(s, still, still, *road.route_offset(s, direction)), direction)
+
+
+def test_the_route_keeps_the_planners_clearance(built: tuple[RunConfig, Game], on_route: VehicleState) -> None:
     config, game = built
-    s = torch.linspace(-30.0, game.simulator.road.target_s_m + 5, 200)
-    for seat in (0, 1):
-        start = torch.full((200, 2), -300.0)  # the other one is far away, beyond the corridor
-        start[:, seat] = -s
-        task = draw_tasks(config, 200)
-        task.start_distance.copy_(start)
-        world = game.simulator.reset(task)
-        assert not game.simulator.collides(world.vehicles)[:, seat].any()
+    size, grown = config.scenario.vehicle, 2 * config.planner.clearance.parked_m
+    x, y = on_route.position.unbind(-1)
+    boxes = boxes_from_pose(x, y, on_route.yaw, size.length_m + grown, size.width_m + grown)
+    assert not game.simulator.road.is_off_road(boxes).any()
+    each = Boxes(*(field[..., None] if isinstance(field, torch.Tensor) else field for field in boxes))
+    assert not (overlap_depth(each, game.simulator.road.parked_boxes()) > 0).any()
+
+
+def test_the_route_can_be_driven_at_the_desired_speed(built: tuple[RunConfig, Game], on_route: VehicleState) -> None:
+    config, _ = built
+    limits, speed = config.planner.limits, config.scenario.desired_speed_mps[1]
+    allowed = min(limits.curvature_max_1pm, limits.lateral_accel_max_mps2 / speed**2)
+    assert float(on_route.curvature.abs().max()) <= allowed
 
 
 def test_two_vehicles_do_not_fit_into_the_corridor(built: tuple[RunConfig, Game]) -> None:
