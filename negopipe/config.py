@@ -23,7 +23,7 @@ from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
 from negopipe.reward import RewardConfig
 from negopipe.schema import NonNegativeInt, PositiveInt, schema
-from negopipe.simulation.scenario import ScenarioConfig
+from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.tracking.store import TrackingConfig
 
 Stage = Literal["train", "evaluate", "report", "behaviour_map", "benchmark"]
@@ -59,6 +59,11 @@ class RunConfig:
     report: ReportConfig
     tracking: TrackingConfig
     benchmark: BenchmarkConfig
+
+    @property
+    def evaluated_families(self) -> Families:
+        """The scenario's families that `evaluation.settings` names."""
+        return {name: self.scenario.families[name] for name in self.evaluation.settings}
 
 
 def load(composed: DictConfig) -> RunConfig:
@@ -106,7 +111,10 @@ def _check_horizons(config: RunConfig) -> None:
     places |= {f"curriculum.stages.{i}": stage.families for i, stage in enumerate(config.curriculum.stages)}
     for place, families in places.items():
         for name, family in families.items():
-            horizons[f"{place}.families.{name}.style_horizon_s"] = tuple(family.style_horizon_s)
+            key = f"{place}.families.{name}"
+            horizons[f"{key}.style_horizon_s"] = tuple(family.style_horizon_s)
+            if family.style_switch is not None:
+                horizons[f"{key}.style_switch.style_horizon_s"] = tuple(family.style_switch.style_horizon_s)
     if "behaviour_map" in config.stages:
         horizons["behaviour_map.horizons_s"] = tuple(config.behaviour_map.horizons_s)
         horizons["behaviour_map.styles_s"] = tuple(config.behaviour_map.styles_s)

@@ -110,9 +110,10 @@ class NegotiationEnv:
     def step(self, action: Tensor) -> Transition:
         """Drive every vehicle for one control step; `action` [E] int64 is the ego's."""
         world = self.world
-        horizon = world.task.style_horizon.clone()
+        perception = perceive(world)
+        horizon = perception.style_horizon.clone()
         horizon[:, EGO] = self._horizons[action]
-        motion = self.game.plan(perceive(world), horizon)
+        motion = self.game.plan(perception, horizon)
         moved, events = self.game.step(world, motion.state)
         reached = self.game.draw(perceive(moved).of(EGO))
         self._observation = self._start_again(moved, events.is_terminated | events.is_truncated, reached)

@@ -5,8 +5,8 @@
     envs = gymnasium.make_vec("negopipe/NarrowLane-v0", num_envs=64, vectorization_mode="vector_entry_point")
 
 Observations are the occupancy grids, uint8, 0 = free and 255 = occupied, as image policies expect them; actions
-are indices into `policy.horizons_s`. Tasks are drawn from the scenario's families. `overrides` are those of the
-command line.
+are indices into `policy.horizons_s`. Tasks are drawn from the families that `evaluation.settings` names. `overrides`
+are those of the command line.
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
 def _build(overrides: Sequence[str], n_worlds: int) -> NegotiationEnv:
     config = compose_config(overrides)
     game = build_game(config.scenario, config.planner, config.observation)
-    sampler = TaskSampler(config.scenario, config.scenario.families, torch.Generator())
+    sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator())
     return NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
 
 

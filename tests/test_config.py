@@ -90,7 +90,18 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             ["observation.n_cells=20"],
             "policy.conv.2.kernel must be at most 1, what is left there of observation.n_cells = 20, got 3",
         ),
-        (["evaluation.settings=[rest]"], "evaluation.settings must be among push, yield, got rest"),
+        (
+            ["evaluation.settings=[rest]"],
+            "evaluation.settings must be among push, yield, mixture, mixture_switching, got rest",
+        ),
+        (
+            ["scenario.families.mixture_switching.style_switch.style_horizon_s=[7.0]"],
+            "scenario.families.mixture_switching.style_switch.style_horizon_s must be at most planner.",
+        ),
+        (
+            [f"scenario.families.mixture_switching.style_switch.{cause}_s=null" for cause in ("at", "stuck")],
+            "scenario.families.mixture_switching.style_switch must have an interval for at_s or stuck_s, both are null",
+        ),
         (
             ["evaluation.leading_setting=rest"],
             "evaluation.leading_setting must be among push, yield, got rest",

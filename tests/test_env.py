@@ -1,5 +1,7 @@
 """The batched environment: actions reach the planner, episodes start again, final observations are kept."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from games import draw_tasks
@@ -14,7 +16,7 @@ from negopipe.simulation.state import EGO, Motion, map_tensors
 
 
 def make(config: RunConfig, game: Game, n_worlds: int) -> NegotiationEnv:
-    sampler = TaskSampler(config.scenario, config.scenario.families, torch.Generator().manual_seed(3))
+    sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator().manual_seed(3))
     return NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
 
 
@@ -70,6 +72,19 @@ def test_actions_are_horizons(config: RunConfig, game: Game) -> None:
         horizon[:, EGO] = torch.tensor([0.0, 2.0, 4.0, 6.0])
         expected = game.plan(perceive(world), horizon).state
         env.step(torch.arange(4))
+        assert_same(env.world.vehicles, expected)
+
+
+def test_a_switched_style_drives(config: RunConfig, game: Game) -> None:
+    env = make(config, game, 4)
+    task = replace(env.world.task, next_style_horizon=torch.tensor([[torch.nan, 0.0]] * 4))
+    for has_switched in (False, True):
+        switched = torch.tensor([[False, has_switched]] * 4)
+        env.world = world = replace(env.world, task=task, has_switched=switched)
+        horizon = torch.where(switched, task.next_style_horizon, task.style_horizon)
+        horizon[:, EGO] = 6.0
+        expected = game.plan(perceive(world), horizon).state
+        env.step(torch.full((4,), 3))
         assert_same(env.world.vehicles, expected)
 
 

@@ -26,8 +26,8 @@ _CELL = 3  # shift, mask, narrow
 
 _STATE_FLOATS = 6  # position 2, yaw, speed, acceleration, curvature
 _POSE_FLOATS = 3
-_TASK_FLOATS = 5
-_FLAG_BYTES = 2  # has reached, has collided
+_TASK_FLOATS = 8
+_FLAG_BYTES = 3 + 8  # has reached, has collided, has switched; steps at rest
 _WORLD_BYTES = 2 * 8  # step, family
 _WORD_BITS = 28
 

@@ -19,7 +19,7 @@ class Perception:
     own: VehicleState [E, S]
     direction: [E, S] float32, own driving direction along the road, +1 or -1
     desired_speed: [E, S] float32, m/s
-    style_horizon: [E, S] float32, s, own driving style; NaN where the driver chooses
+    style_horizon: [E, S] float32, s, own driving style, the one in force now; NaN where the driver chooses
     other: VehicleState [E, S, O]
     own_history: [E, K, S, 3] float32, own poses x, y, yaw (m, m, rad; world), index 0 now, one step apart
     other_history: [E, K, S, O, 3] float32, poses of the others
@@ -60,11 +60,12 @@ def perceive(world: World) -> Perception:
     """Perfect perception of every vehicle by every other."""
     n_vehicles = world.task.direction.shape[1]
     others = other_columns(n_vehicles, world.step.device)
+    task = world.task
     return Perception(
         own=world.vehicles,
         direction=world.task.direction,
         desired_speed=world.task.desired_speed,
-        style_horizon=world.task.style_horizon,
+        style_horizon=torch.where(world.has_switched, task.next_style_horizon, task.style_horizon),
         other=map_tensors(lambda field: field[:, others], world.vehicles),
         own_history=world.pose_history,
         other_history=world.pose_history[:, :, others],

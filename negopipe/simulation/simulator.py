@@ -13,7 +13,10 @@ from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
 from negopipe.simulation.perception import other_columns
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import ScenarioConfig
-from negopipe.simulation.state import Task, VehicleState, World, where_world
+from negopipe.simulation.state import AT_REST_MPS, Task, VehicleState, World, where_world
+
+SETTLING_S = 1.0
+"""Start of an episode in which rest does not count as being stuck: a task may start vehicles from rest."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +58,30 @@ class Simulator:
         no = torch.zeros_like(s, dtype=torch.bool)
         pose = _pose(vehicles)
         history = pose[:, None].expand(-1, 1 + self.history_steps, -1, -1).contiguous()
-        return World(vehicles, task, torch.zeros_like(task.family), no, no, history)
+        return World(
+            vehicles=vehicles,
+            task=task,
+            step=torch.zeros_like(task.family),
+            has_reached=no,
+            has_collided=no,
+            rest_steps=torch.zeros_like(s, dtype=torch.int64),
+            has_switched=no,
+            pose_history=history,
+        )
 
     def step(self, world: World, motion: VehicleState) -> tuple[World, Events]:
         """Move every vehicle to `motion` [E, V], its state one `dt_s` later."""
         s = self.road.progress(motion.position, world.task.direction)
         has_reached = world.has_reached | (s >= self.road.target_s_m)
+        rest_steps, has_switched = self._styles(world, motion)
         moved = World(
             vehicles=motion,
             task=world.task,
             step=world.step + 1,
             has_reached=has_reached,
             has_collided=world.has_collided | self.collides(motion),
+            rest_steps=rest_steps,
+            has_switched=has_switched,
             pose_history=torch.cat([_pose(motion)[:, None], world.pose_history[:, :-1]], dim=1),
         )
         return moved, self._events(moved)
@@ -96,6 +111,15 @@ class Simulator:
         is_off_road = (y - reach < right) | (y + reach > left)
         hits_parked = (overlap_depth(own, self.road.parked_boxes()) > 0).any(-1)
         return (overlap_depth(own, others) > 0).any(-1) | hits_parked | is_off_road
+
+    def _styles(self, world: World, motion: VehicleState) -> tuple[Tensor, Tensor]:
+        """`rest_steps` and `has_switched` of the world in which `motion` is reached, [E, V] each."""
+        dt = self.scenario.dt_s
+        time = (world.step[:, None] + 1) * dt
+        is_stuck = (motion.speed < AT_REST_MPS) & (time > SETTLING_S + dt / 2)
+        rest_steps = torch.where(is_stuck, world.rest_steps + 1, 0)
+        has_lost_patience = is_stuck & (rest_steps * dt > world.task.patience - dt / 2)
+        return rest_steps, world.has_switched | has_lost_patience | (time > world.task.switch_time - dt / 2)
 
     def _events(self, world: World) -> Events:
         is_collision = world.has_collided.any(-1)

@@ -20,6 +20,9 @@ from torch import Tensor
 EGO = 0
 """Column of the ego on every vehicle axis."""
 
+AT_REST_MPS = 0.1
+"""A vehicle that is slower than this is at rest (Reading: suspend number)."""
+
 
 @dataclass(frozen=True)
 class VehicleState:
@@ -46,6 +49,9 @@ class Task:
     start_distance: [E, V] float32, m, from the vehicle's centre to the mouth that it meets first
     start_speed, desired_speed: [E, V] float32, m/s
     style_horizon: [E, V] float32, s, prediction horizon of the social vehicles; NaN for the ego, who chooses
+    next_style_horizon: [E, V] float32, s, what a vehicle switches to; NaN where it never does
+    switch_time: [E, V] float32, s, time in the episode at which it switches; inf = never
+    patience: [E, V] float32, s, time at rest without a break after which it switches; inf = never
     direction: [E, V] float32, +1 drives towards +x, -1 towards -x
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
     """
@@ -54,6 +60,9 @@ class Task:
     start_speed: Tensor
     desired_speed: Tensor
     style_horizon: Tensor
+    next_style_horizon: Tensor
+    switch_time: Tensor
+    patience: Tensor
     direction: Tensor
     family: Tensor
 
@@ -70,6 +79,9 @@ class World:
     step: [E] int64, decisions taken in this episode
     has_reached: [E, V] bool, the vehicle has passed its target in this episode
     has_collided: [E, V] bool, the vehicle touched another vehicle, a parked car or the kerb
+    rest_steps: [E, V] int64, control steps for which the vehicle has been at rest without a break until now; those
+        within the episode's first second do not count
+    has_switched: [E, V] bool, the vehicle drives in its task's next style from now on
     pose_history: [E, K, V, 3] float32, x (m), y (m), yaw (rad) in the world frame; index 0 is now, index k is
         k steps ago. Before the episode's start the first state is repeated.
     """
@@ -79,6 +91,8 @@ class World:
     step: Tensor
     has_reached: Tensor
     has_collided: Tensor
+    rest_steps: Tensor
+    has_switched: Tensor
     pose_history: Tensor
 
 

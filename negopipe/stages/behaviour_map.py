@@ -61,7 +61,7 @@ def map_tasks(config: "RunConfig", game: Game, setting: str, style_s: float) -> 
     """The setting's held-out tasks, all social drivers in one style; the starts are the same for every style."""
     stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
     family = config.scenario.families[setting]
-    in_one_style = FamilyConfig(family.weight, family.start_distance_m, [style_s])
+    in_one_style = FamilyConfig(family.weight, family.start_distance_m, [style_s], style_switch=None)
     return TaskSampler(config.scenario, {setting: in_one_style}, stream).draw(config.behaviour_map.n_episodes)
 
 

@@ -95,6 +95,59 @@ def test_history_moves_on(game: Game, world: World) -> None:
     torch.testing.assert_close(moved.pose_history[:, 1:], world.pose_history[:, :-1])
 
 
+def switching(world: World, at_s: float, patience_s: float) -> World:
+    """The social vehicle drives in style 2 and switches to style 6."""
+
+    def social(value: float) -> torch.Tensor:
+        return torch.tensor([[torch.nan, value]])
+
+    times = {"switch_time": social(at_s), "patience": social(patience_s)}
+    task = replace(world.task, style_horizon=social(2.0), next_style_horizon=social(6.0), **times)
+    return replace(world, task=task)
+
+
+def styles_of(game: Game, world: World, speeds: list[float]) -> list[float]:
+    """Style of the social vehicle at the start and after each step, driven at `speeds`."""
+    seen = [float(perceive(world).style_horizon[0, 1])]
+    for speed in speeds:
+        motion = replace(world.vehicles, speed=torch.tensor([[0.0, speed]]))
+        world, _ = game.simulator.step(world, motion)
+        seen.append(float(perceive(world).style_horizon[0, 1]))
+    assert perceive(world).style_horizon[0, 0].isnan()
+    assert not world.has_switched[0, 0]
+    return seen
+
+
+def test_style_switches_at_its_time_and_stays(game: Game, world: World) -> None:
+    styles = styles_of(game, switching(world, 1.4, math.inf), [4.0] * 12)
+    assert styles == [2.0] * 7 + [6.0] * 6  # in force from the decision at 1.4 s on
+
+
+@pytest.mark.parametrize(
+    ("speeds", "first"),
+    [
+        ([0.0] * 20, 8),  # rest counts after the first second, so 0.6 s of it are over after 1.6 s
+        ([4.0] * 8 + [0.05] * 6, 11),  # slower than 0.1 m/s is rest
+        ([4.0] * 8 + [0.0, 0.0, 0.2] + [0.0] * 5, 14),  # a break starts the count anew
+        ([4.0] * 8 + [0.15] * 8, None),
+        ([4.0] * 8 + [0.0] * 4 + [4.0] * 4, 11),  # once only, it does not switch back
+    ],
+)
+def test_style_switches_out_of_impatience(game: Game, world: World, speeds: list[float], first: int | None) -> None:
+    styles = styles_of(game, switching(world, math.inf, 0.6), speeds)
+    n_before = len(styles) if first is None else first
+    assert styles == [2.0] * n_before + [6.0] * (len(styles) - n_before)
+
+
+def test_a_new_task_starts_in_its_first_style(config: RunConfig, game: Game, world: World) -> None:
+    for _ in range(3):
+        world, _ = game.simulator.step(switching(world, 0.2, math.inf), world.vehicles)
+    assert world.has_switched[0, 1]
+    again = game.simulator.reset_where(torch.tensor([True]), world, draw_tasks(config, 1))
+    assert not again.has_switched.any()
+    assert not again.rest_steps.any()
+
+
 def test_masked_reset_touches_only_the_masked(config: RunConfig, game: Game) -> None:
     world = game.simulator.reset(draw_tasks(config, 4, seed=1))
     fresh = draw_tasks(config, 4, seed=2)
