@@ -23,6 +23,7 @@ from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
 from negopipe.reward import RewardConfig
 from negopipe.schema import NonNegativeInt, PositiveInt, schema
+from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.tracking.store import TrackingConfig
 
@@ -48,6 +49,7 @@ class RunConfig:
     n_threads: PositiveInt
     compile: Literal["auto", "on", "off"]
     scenario: ScenarioConfig
+    perception: PerceptionConfig
     planner: PlannerConfig
     observation: ObservationConfig
     reward: RewardConfig
@@ -99,6 +101,7 @@ def run_name(config: RunConfig) -> str:
 def check_components(config: RunConfig) -> None:
     """Conditions that no component can check alone; UserError names the first that does not hold."""
     _check_horizons(config)
+    _check_times(config)
     _check_grids(config)
     _check_evaluation(config)
 
@@ -124,13 +127,22 @@ def _check_horizons(config: RunConfig) -> None:
             raise UserError(f"{key} must be at most planner.horizon_s = {planned}, got {max(values)}")
 
 
+def _check_times(config: RunConfig) -> None:
+    """What is remembered or passed on at control steps happens at control steps."""
+    dt = config.scenario.dt_s
+    times = {
+        "observation.frame_interval_s": config.observation.frame_interval_s,
+        "perception.accel_window_s": config.perception.accel_window_s,
+        "perception.delay_s": config.perception.delay_s,
+    }
+    for key, time in times.items():
+        n_steps = round(time / dt)
+        if abs(time - n_steps * dt) > 1e-6 or (n_steps == 0 and time > 0):
+            raise UserError(f"{key} must be a multiple of scenario.dt_s = {dt}, got {time}")
+
+
 def _check_grids(config: RunConfig) -> None:
-    """Frames fall on control steps, and the convolutions leave something of the grid."""
-    interval, dt = config.observation.frame_interval_s, config.scenario.dt_s
-    n_steps = round(interval / dt)
-    if n_steps < 1 or abs(interval - n_steps * dt) > 1e-6:
-        rule = f"a multiple of scenario.dt_s = {dt}"
-        raise UserError(f"observation.frame_interval_s must be {rule}, got {interval}")
+    """The convolutions leave something of the grid."""
     side = config.observation.n_cells
     for index, conv in enumerate(config.policy.conv):
         if conv.kernel > side:

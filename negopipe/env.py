@@ -13,7 +13,7 @@ from negopipe.learning.rollout import Transition
 from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
 from negopipe.planner.frenet import FrenetPlanner, PlannerConfig
 from negopipe.reward import RewardConfig, reward
-from negopipe.simulation.perception import Perception, perceive
+from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
 from negopipe.simulation.scenario import ScenarioConfig, TaskSampler
 from negopipe.simulation.simulator import Events, Simulator
 from negopipe.simulation.state import EGO, Motion, VehicleState, World, map_tensors
@@ -26,6 +26,7 @@ class Game:
     simulator: resets worlds and knows the road
     planner: what `plan` belongs to
     plan: Perception, horizon [E, S] (s) -> Motion [E, S]
+    perceive: World -> Perception of all vehicles
     step: World, VehicleState [E, V] -> World, Events
     draw: Perception of one seat -> [E, F, H, W] uint8 grids
     draw_few: the same, not compiled, for any number of worlds
@@ -35,6 +36,7 @@ class Game:
     simulator: Simulator
     planner: FrenetPlanner
     plan: Callable[[Perception, Tensor], Motion]
+    perceive: Callable[[World], Perception]
     step: Callable[[World, VehicleState], tuple[World, Events]]
     draw: Callable[[Perception], Tensor]
     draw_few: Callable[[Perception], Tensor]
@@ -45,6 +47,7 @@ def build_game(
     scenario: ScenarioConfig,
     planner: PlannerConfig,
     observation: ObservationConfig,
+    perception: PerceptionConfig,
     device: torch.device | str = "cpu",
     is_compiled: bool = False,
 ) -> Game:
@@ -52,7 +55,8 @@ def build_game(
 
     A compiled game is compiled anew for every number of worlds, so keep to one number.
     """
-    simulator = Simulator(scenario, history_steps(observation, scenario.dt_s), device)
+    sensor = Sensor(perception, scenario.dt_s, history_steps(observation, scenario.dt_s))
+    simulator = Simulator(scenario, sensor.memory_steps, device)
     frenet = FrenetPlanner(planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
     grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)
 
@@ -63,6 +67,7 @@ def build_game(
         simulator=simulator,
         planner=frenet,
         plan=accelerate(frenet.plan),
+        perceive=sensor.perceive,
         step=accelerate(simulator.step),
         draw=accelerate(grid.draw),
         draw_few=grid.draw,
@@ -101,7 +106,7 @@ class NegotiationEnv:
     def restart(self) -> None:
         """Start a new task in every world."""
         self.world = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
-        self._observation = self.game.draw_few(perceive(self.world).of(EGO))
+        self._observation = self.game.draw_few(self.game.perceive(self.world).of(EGO))
 
     def observe(self) -> Tensor:
         """[E, F, H, W] uint8, 0 or 1: the grids that the ego sees now."""
@@ -110,12 +115,12 @@ class NegotiationEnv:
     def step(self, action: Tensor) -> Transition:
         """Drive every vehicle for one control step; `action` [E] int64 is the ego's."""
         world = self.world
-        perception = perceive(world)
+        perception = self.game.perceive(world)
         horizon = perception.style_horizon.clone()
         horizon[:, EGO] = self._horizons[action]
         motion = self.game.plan(perception, horizon)
         moved, events = self.game.step(world, motion.state)
-        reached = self.game.draw(perceive(moved).of(EGO))
+        reached = self.game.draw(self.game.perceive(moved).of(EGO))
         self._observation = self._start_again(moved, events.is_terminated | events.is_truncated, reached)
         return Transition(
             observation=self._observation,
@@ -134,4 +139,4 @@ class NegotiationEnv:
         if len(which) == 0:
             return reached
         started = map_tensors(lambda field: field[which], self.world)
-        return reached.index_copy(0, which, self.game.draw_few(perceive(started).of(EGO)))
+        return reached.index_copy(0, which, self.game.draw_few(self.game.perceive(started).of(EGO)))

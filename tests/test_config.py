@@ -86,6 +86,8 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             ["observation.frame_interval_s=0.5"],
             "observation.frame_interval_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
         ),
+        (["perception.delay_s=0.3"], "perception.delay_s must be a multiple of scenario.dt_s = 0.2, got 0.3"),
+        (["perception.accel_window_s=0.05"], "perception.accel_window_s must be a multiple of scenario.dt_s = 0.2, "),
         (
             ["observation.n_cells=20"],
             "policy.conv.2.kernel must be at most 1, what is left there of observation.n_cells = 20, got 3",

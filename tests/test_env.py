@@ -10,7 +10,7 @@ from negopipe.config import RunConfig
 from negopipe.driver import HorizonDriver, drive_together, fixed_horizon, own_style
 from negopipe.env import Game, NegotiationEnv, build_game
 from negopipe.reward import RewardConfig, reward
-from negopipe.simulation.perception import Perception, perceive
+from negopipe.simulation.perception import Perception
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Motion, map_tensors
 
@@ -61,7 +61,7 @@ def test_observation_is_that_of_the_world(config: RunConfig, game: Game) -> None
     env = make(config, game, 4)
     for _ in range(40):
         env.step(torch.zeros(4, dtype=torch.int64))
-        assert torch.equal(env.observe(), game.draw(perceive(env.world).of(EGO)))
+        assert torch.equal(env.observe(), game.draw(game.perceive(env.world).of(EGO)))
 
 
 def test_actions_are_horizons(config: RunConfig, game: Game) -> None:
@@ -70,7 +70,7 @@ def test_actions_are_horizons(config: RunConfig, game: Game) -> None:
         world = env.world
         horizon = world.task.style_horizon.clone()
         horizon[:, EGO] = torch.tensor([0.0, 2.0, 4.0, 6.0])
-        expected = game.plan(perceive(world), horizon).state
+        expected = game.plan(game.perceive(world), horizon).state
         env.step(torch.arange(4))
         assert_same(env.world.vehicles, expected)
 
@@ -83,7 +83,7 @@ def test_a_switched_style_drives(config: RunConfig, game: Game) -> None:
         env.world = world = replace(env.world, task=task, has_switched=switched)
         horizon = torch.where(switched, task.next_style_horizon, task.style_horizon)
         horizon[:, EGO] = 6.0
-        expected = game.plan(perceive(world), horizon).state
+        expected = game.plan(game.perceive(world), horizon).state
         env.step(torch.full((4,), 3))
         assert_same(env.world.vehicles, expected)
 
@@ -101,7 +101,7 @@ def test_driving_together_equals_driving_alone(config: RunConfig, game: Game) ->
     world = game.simulator.reset(draw_tasks(config, 6))
     drivers = [HorizonDriver(fixed_horizon(4.0), game.plan), HorizonDriver(own_style, game.plan)]
     for _ in range(20):
-        seen = perceive(world)
+        seen = game.perceive(world)
         together = drive_together(drivers, seen)
         alone = [driver.drive(seen.of(seat)) for seat, driver in enumerate(drivers)]
         apart = map_tensors(lambda *columns: torch.cat(columns, 1), *alone)
@@ -123,7 +123,7 @@ def test_other_drivers_fit_without_a_change(config: RunConfig, game: Game) -> No
     world = game.simulator.reset(draw_tasks(config, 2))
     start = world.vehicles.position[:, 1].clone()
     for _ in range(10):
-        motion = drive_together([HorizonDriver(fixed_horizon(6.0), game.plan), Parked()], perceive(world))
+        motion = drive_together([HorizonDriver(fixed_horizon(6.0), game.plan), Parked()], game.perceive(world))
         world, _ = game.simulator.step(world, motion.state)
     assert torch.equal(world.vehicles.position[:, 1], start)
     assert (world.vehicles.position[:, EGO, 0] > -20).all()
@@ -132,12 +132,12 @@ def test_other_drivers_fit_without_a_change(config: RunConfig, game: Game) -> No
 @pytest.mark.slow
 def test_compiled_equals_eager(config: RunConfig, game: Game) -> None:
     # float32 sums in another order: 1e-4 m per step is a thousand roundings of the largest position (45 m)
-    compiled = build_game(config.scenario, config.planner, config.observation, is_compiled=True)
+    compiled = build_game(config.scenario, config.planner, config.observation, config.perception, is_compiled=True)
     world = game.simulator.reset(draw_tasks(config, 8))
     horizon = torch.tensor([[0.0, 2.0], [2.0, 4.0], [4.0, 6.0], [6.0, 0.0]]).repeat(2, 1)
     n_differing_grids = 0.0
     for _ in range(40):
-        seen = perceive(world)
+        seen = game.perceive(world)
         a, b = game.plan(seen, horizon), compiled.plan(seen, horizon)
         torch.testing.assert_close(a.state.position, b.state.position, atol=1e-4, rtol=0)
         n_differing_grids += float((game.draw(seen.of(EGO)) != compiled.draw(seen.of(EGO))).float().mean())

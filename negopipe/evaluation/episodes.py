@@ -13,7 +13,6 @@ from negopipe.env import Game
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
 from negopipe.schema import NonNegativeFloat, NonNegativeInt, PositiveInt, schema
-from negopipe.simulation.perception import perceive
 from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, where_world
 
@@ -81,7 +80,7 @@ def _record(
     states, decisions = [_state_row(game, world)], []
     is_success = is_collision = ~is_running
     for _ in range(game.simulator.scenario.episode_steps):
-        motion = drive_together(drivers, perceive(world))
+        motion = drive_together(drivers, game.perceive(world))
         moved, events = game.step(world, motion.state)
         world = where_world(is_running, moved, world)
         states.append(_state_row(game, world))

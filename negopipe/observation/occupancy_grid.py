@@ -17,6 +17,9 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import VehicleConfig
 
+FAR_M = 1000.0
+"""Where no grid reaches."""
+
 WORD_BITS = 28
 """Columns per machine word; three words hold the paper's 84 columns."""
 
@@ -78,6 +81,8 @@ class OccupancyGrid:
         pose = own[:, 0]
         moving = torch.cat([own[:, :, None], others], dim=2)
         x, y, yaw = moving.unbind(-1)
+        is_seen = perception.is_seen_history[:, :: self._stride, 0]
+        x = torch.where(torch.cat([torch.ones_like(is_seen[..., :1]), is_seen], dim=-1), x, FAR_M)
         half_length, half_width = self.vehicle.length_m / 2, self.vehicle.width_m / 2
         vehicles = Boxes(x, y, torch.cos(yaw), torch.sin(yaw), half_length, half_width)
         static = self._rows(_in_body_frame(self._static, pose[:, None]))
@@ -135,7 +140,7 @@ def _in_body_frame(boxes: Boxes, pose: Tensor) -> Boxes:
 
 def _static_boxes(road: Road, device: torch.device | str) -> Boxes:
     """Parked cars and, as two wide rectangles, what lies beyond the kerbs."""
-    far = 1000.0  # m, longer than any grid
+    far = FAR_M
     right, left = road.kerb_y_m
     sides = torch.tensor([[0.0, right - far / 2, 0.0, far, far], [0.0, left + far / 2, 0.0, far, far]], device=device)
     x, y, yaw, length, width = torch.cat([road.parked_cars, sides]).unbind(-1)

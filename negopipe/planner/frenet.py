@@ -120,7 +120,9 @@ class FrenetPlanner:
         is_feasible = self._is_drivable(samples)[:, None, :]
         is_feasible = is_feasible & (samples.travelled[:, None, :, -1] <= paths.free_distance[:, :, None])
         predicted = predict(self.config.prediction, self.road, other, direction[:, None], self.times)
-        is_feasible = is_feasible & ~self._conflicts(route, samples, paths, predicted, other.speed, horizon.flatten())
+        is_feasible = is_feasible & ~self._conflicts(
+            route, samples, paths, predicted, other.speed, horizon.flatten(), perception.is_seen.flatten(0, 1)
+        )
         cost = paths.cost[:, :, None] + self._longitudinal_cost(samples, desired_speed)[:, None, :]
         cost, best = torch.where(is_feasible, cost, torch.inf).flatten(1).min(dim=1)
         is_full_braking = torch.isinf(cost)
@@ -185,8 +187,12 @@ class FrenetPlanner:
         predicted: PredictedPath,
         predicted_speed: Tensor,
         horizon: Tensor,
+        is_seen: Tensor,
     ) -> Tensor:
-        """[N, L, C] bool: the footprint meets a predicted vehicle at some time within the prediction horizon."""
+        """[N, L, C] bool: the footprint meets a predicted vehicle at some time within the prediction horizon.
+
+        Vehicles that are not seen (`is_seen` [N, O]) do not count.
+        """
         size, clearance = self.vehicle, self.config.clearance
         travelled = samples.travelled[:, None]  # [N, 1, C, T]
         point = self.lateral.follow(paths.coefficients, route.s, travelled)
@@ -207,7 +213,8 @@ class FrenetPlanner:
         other = Boxes(s, d, cos, sin, half_length, beside[:, :, None, None, None])
         is_predicted = self.times <= horizon[:, None] + self.dt_s / 2
         depth = overlap_depth(own, other)  # [N, O, L, C, T]
-        return torch.where(is_predicted[:, None, None, None, :], depth, -torch.inf).amax((1, -1)) > 0
+        counts = is_seen[:, :, None] & is_predicted[:, None]  # [N, O, T]
+        return torch.where(counts[:, :, None, None], depth, -torch.inf).amax((1, -1)) > 0
 
     def _follow(self, route: RouteState, samples: LongitudinalSamples, paths: Paths, best: Tensor) -> RouteState:
         """State one step along the chosen combination [N] (flat index over L x C)."""

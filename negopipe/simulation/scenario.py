@@ -133,6 +133,7 @@ class TaskSampler:
             switch_time=self._times(family, [s.at_s if s else None for s in switches]),
             patience=self._times(family, [s.stuck_s if s else None for s in switches]),
             direction=direction,
+            noise_seed=torch.randint(2**31, (n,), generator=self.generator, device=family.device),
             family=family,
         )
 

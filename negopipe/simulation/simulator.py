@@ -38,7 +38,7 @@ class Events:
 class Simulator:
     """The world's rules for one scenario.
 
-    history_steps: how many past poses a world remembers beside the present one
+    history_steps: how many past poses and speeds a world remembers beside the present ones
     """
 
     def __init__(self, scenario: ScenarioConfig, history_steps: int, device: torch.device | str = "cpu") -> None:
@@ -56,8 +56,6 @@ class Simulator:
         start = RouteState(s, task.start_speed / stretch, zero, d, d_prime, d_pprime)
         vehicles = replace(self.road.to_world(start, task.direction), accel=zero)
         no = torch.zeros_like(s, dtype=torch.bool)
-        pose = _pose(vehicles)
-        history = pose[:, None].expand(-1, 1 + self.history_steps, -1, -1).contiguous()
         return World(
             vehicles=vehicles,
             task=task,
@@ -66,7 +64,8 @@ class Simulator:
             has_collided=no,
             rest_steps=torch.zeros_like(s, dtype=torch.int64),
             has_switched=no,
-            pose_history=history,
+            pose_history=self._repeat(_pose(vehicles)),
+            speed_history=self._repeat(vehicles.speed),
         )
 
     def step(self, world: World, motion: VehicleState) -> tuple[World, Events]:
@@ -83,6 +82,7 @@ class Simulator:
             rest_steps=rest_steps,
             has_switched=has_switched,
             pose_history=torch.cat([_pose(motion)[:, None], world.pose_history[:, :-1]], dim=1),
+            speed_history=torch.cat([motion.speed[:, None], world.speed_history[:, :-1]], dim=1),
         )
         return moved, self._events(moved)
 
@@ -111,6 +111,10 @@ class Simulator:
         is_off_road = (y - reach < right) | (y + reach > left)
         hits_parked = (overlap_depth(own, self.road.parked_boxes()) > 0).any(-1)
         return (overlap_depth(own, others) > 0).any(-1) | hits_parked | is_off_road
+
+    def _repeat(self, start: Tensor) -> Tensor:
+        """[E, ...] -> [E, K, ...]: a history in which nothing has happened yet."""
+        return start[:, None].repeat(1, 1 + self.history_steps, *[1] * (start.dim() - 1))
 
     def _styles(self, world: World, motion: VehicleState) -> tuple[Tensor, Tensor]:
         """`rest_steps` and `has_switched` of the world in which `motion` is reached, [E, V] each."""

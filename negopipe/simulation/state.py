@@ -53,6 +53,7 @@ class Task:
     switch_time: [E, V] float32, s, time in the episode at which it switches; inf = never
     patience: [E, V] float32, s, time at rest without a break after which it switches; inf = never
     direction: [E, V] float32, +1 drives towards +x, -1 towards -x
+    noise_seed: [E] int64, from 0 to 2^31 - 1, of the errors with which vehicles perceive each other
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
     """
 
@@ -64,6 +65,7 @@ class Task:
     switch_time: Tensor
     patience: Tensor
     direction: Tensor
+    noise_seed: Tensor
     family: Tensor
 
     def __len__(self) -> int:
@@ -84,6 +86,7 @@ class World:
     has_switched: [E, V] bool, the vehicle drives in its task's next style from now on
     pose_history: [E, K, V, 3] float32, x (m), y (m), yaw (rad) in the world frame; index 0 is now, index k is
         k steps ago. Before the episode's start the first state is repeated.
+    speed_history: [E, K, V] float32, m/s, of the same states
     """
 
     vehicles: VehicleState
@@ -94,6 +97,7 @@ class World:
     rest_steps: Tensor
     has_switched: Tensor
     pose_history: Tensor
+    speed_history: Tensor
 
 
 @dataclass(frozen=True)

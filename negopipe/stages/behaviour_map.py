@@ -29,7 +29,9 @@ log = logging.getLogger("negopipe")
 def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Drive all pairs in all settings; writes behaviour_map.csv, figures/behaviour_map.* and claim 8's verdicts."""
     is_compiled = wants_compile(config.compile)
-    game = build_game(config.scenario, config.planner, config.observation, device_of(config), is_compiled)
+    game = build_game(
+        config.scenario, config.planner, config.observation, config.perception, device_of(config), is_compiled
+    )
     table = drive_map(config, game)
     table.to_csv(run.folder / "behaviour_map.csv", index=False)
     run.log_artifact(run.folder / "behaviour_map.csv")

@@ -9,7 +9,7 @@ from games import draw_tasks
 
 from negopipe.config import RunConfig
 from negopipe.env import Game
-from negopipe.simulation.perception import other_columns, perceive
+from negopipe.simulation.perception import other_columns
 from negopipe.simulation.state import VehicleState, World, map_tensors, where_world
 
 
@@ -108,12 +108,12 @@ def switching(world: World, at_s: float, patience_s: float) -> World:
 
 def styles_of(game: Game, world: World, speeds: list[float]) -> list[float]:
     """Style of the social vehicle at the start and after each step, driven at `speeds`."""
-    seen = [float(perceive(world).style_horizon[0, 1])]
+    seen = [float(game.perceive(world).style_horizon[0, 1])]
     for speed in speeds:
         motion = replace(world.vehicles, speed=torch.tensor([[0.0, speed]]))
         world, _ = game.simulator.step(world, motion)
-        seen.append(float(perceive(world).style_horizon[0, 1]))
-    assert perceive(world).style_horizon[0, 0].isnan()
+        seen.append(float(game.perceive(world).style_horizon[0, 1]))
+    assert game.perceive(world).style_horizon[0, 0].isnan()
     assert not world.has_switched[0, 0]
     return seen
 
@@ -162,7 +162,7 @@ def test_masked_reset_touches_only_the_masked(config: RunConfig, game: Game) -> 
 def test_everyone_sees_the_others(three_social_config: RunConfig, three_social: Game) -> None:
     assert other_columns(4).tolist() == [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]
     world = three_social.simulator.reset(draw_tasks(three_social_config, 2))
-    seen = perceive(world)
+    seen = three_social.perceive(world)
     torch.testing.assert_close(seen.other.position[:, 2, 0], world.vehicles.position[:, 0])
     torch.testing.assert_close(seen.other.position[:, 2, 2], world.vehicles.position[:, 3])
     assert seen.of(2).other.position.shape == (2, 1, 3, 2)
