@@ -23,6 +23,7 @@ from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
 from negopipe.reward import RewardConfig
 from negopipe.schema import NonNegativeInt, PositiveInt, schema
+from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.tracking.store import TrackingConfig
@@ -50,6 +51,7 @@ class RunConfig:
     compile: Literal["auto", "on", "off"]
     scenario: ScenarioConfig
     perception: PerceptionConfig
+    dynamics: DynamicsConfig
     planner: PlannerConfig
     observation: ObservationConfig
     reward: RewardConfig
@@ -135,6 +137,8 @@ def _check_times(config: RunConfig) -> None:
         "perception.accel_window_s": config.perception.accel_window_s,
         "perception.delay_s": config.perception.delay_s,
     }
+    if isinstance(config.dynamics, BicycleConfig):
+        times["dynamics.actuation_delay_s"] = config.dynamics.actuation_delay_s
     for key, time in times.items():
         n_steps = round(time / dt)
         if abs(time - n_steps * dt) > 1e-6 or (n_steps == 0 and time > 0):

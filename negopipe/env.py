@@ -13,6 +13,7 @@ from negopipe.learning.rollout import Transition
 from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
 from negopipe.planner.frenet import FrenetPlanner, PlannerConfig
 from negopipe.reward import RewardConfig, reward
+from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
 from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
 from negopipe.simulation.scenario import ScenarioConfig, TaskSampler
 from negopipe.simulation.simulator import Events, Simulator
@@ -48,6 +49,7 @@ def build_game(
     planner: PlannerConfig,
     observation: ObservationConfig,
     perception: PerceptionConfig,
+    dynamics: DynamicsConfig,
     device: torch.device | str = "cpu",
     is_compiled: bool = False,
 ) -> Game:
@@ -56,7 +58,7 @@ def build_game(
     A compiled game is compiled anew for every number of worlds, so keep to one number.
     """
     sensor = Sensor(perception, scenario.dt_s, history_steps(observation, scenario.dt_s))
-    simulator = Simulator(scenario, sensor.memory_steps, device)
+    simulator = Simulator(scenario, sensor.memory_steps, build_dynamics(dynamics, scenario.dt_s), device)
     frenet = FrenetPlanner(planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
     grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)
 

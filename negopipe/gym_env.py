@@ -41,7 +41,7 @@ def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
 
 def _build(overrides: Sequence[str], n_worlds: int) -> NegotiationEnv:
     config = compose_config(overrides)
-    game = build_game(config.scenario, config.planner, config.observation, config.perception)
+    game = build_game(config.scenario, config.planner, config.observation, config.perception, config.dynamics)
     sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator())
     return NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
 

@@ -132,7 +132,9 @@ def test_other_drivers_fit_without_a_change(config: RunConfig, game: Game) -> No
 @pytest.mark.slow
 def test_compiled_equals_eager(config: RunConfig, game: Game) -> None:
     # float32 sums in another order: 1e-4 m per step is a thousand roundings of the largest position (45 m)
-    compiled = build_game(config.scenario, config.planner, config.observation, config.perception, is_compiled=True)
+    compiled = build_game(
+        config.scenario, config.planner, config.observation, config.perception, config.dynamics, is_compiled=True
+    )
     world = game.simulator.reset(draw_tasks(config, 8))
     horizon = torch.tensor([[0.0, 2.0], [2.0, 4.0], [4.0, 6.0], [6.0, 0.0]]).repeat(2, 1)
     n_differing_grids = 0.0

@@ -13,7 +13,15 @@ PACKAGE = Path(negopipe.__file__).parent
 FLOORS = (
     ("errors", "schema", "config_errors", "seeding"),
     ("simulation.state", "simulation.geometry"),
-    ("simulation.road", "simulation.scenario", "simulation.perception", "planner", "observation", "reward"),
+    (
+        "simulation.road",
+        "simulation.scenario",
+        "simulation.perception",
+        "simulation.dynamics",
+        "planner",
+        "observation",
+        "reward",
+    ),
     ("simulation.simulator", "learning.curriculum"),
     ("driver", "env"),
     ("evaluation", "report", "tracking"),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from negopipe.simulation.dynamics import Dynamics
 from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
 from negopipe.simulation.perception import other_columns
 from negopipe.simulation.road import Road, RouteState
@@ -38,11 +39,15 @@ class Events:
 class Simulator:
     """The world's rules for one scenario.
 
+    dynamics: how vehicles get to where their drivers want them
     history_steps: how many past poses and speeds a world remembers beside the present ones
     """
 
-    def __init__(self, scenario: ScenarioConfig, history_steps: int, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self, scenario: ScenarioConfig, history_steps: int, dynamics: Dynamics, device: torch.device | str = "cpu"
+    ) -> None:
         self.scenario = scenario
+        self.dynamics = dynamics
         self.history_steps = history_steps
         self.road = Road(scenario.road, device)
         self._others = other_columns(1 + scenario.n_social, device)
@@ -66,10 +71,12 @@ class Simulator:
             has_switched=no,
             pose_history=self._repeat(_pose(vehicles)),
             speed_history=self._repeat(vehicles.speed),
+            command_queue=s.new_zeros(len(task), self.dynamics.delay_steps, s.shape[1], 2),
         )
 
-    def step(self, world: World, motion: VehicleState) -> tuple[World, Events]:
-        """Move every vehicle to `motion` [E, V], its state one `dt_s` later."""
+    def step(self, world: World, wanted: VehicleState) -> tuple[World, Events]:
+        """Move every vehicle towards `wanted` [E, V], the state its driver wants one `dt_s` later."""
+        motion, command_queue = self.dynamics.move(world.vehicles, wanted, world.command_queue)
         s = self.road.progress(motion.position, world.task.direction)
         has_reached = world.has_reached | (s >= self.road.target_s_m)
         rest_steps, has_switched = self._styles(world, motion)
@@ -83,6 +90,7 @@ class Simulator:
             has_switched=has_switched,
             pose_history=torch.cat([_pose(motion)[:, None], world.pose_history[:, :-1]], dim=1),
             speed_history=torch.cat([motion.speed[:, None], world.speed_history[:, :-1]], dim=1),
+            command_queue=command_queue,
         )
         return moved, self._events(moved)
 

@@ -87,6 +87,7 @@ class World:
     pose_history: [E, K, V, 3] float32, x (m), y (m), yaw (rad) in the world frame; index 0 is now, index k is
         k steps ago. Before the episode's start the first state is repeated.
     speed_history: [E, K, V] float32, m/s, of the same states
+    command_queue: [E, D, V, 2] float32, commands on their way to the actuators (`dynamics.Dynamics.move`)
     """
 
     vehicles: VehicleState
@@ -98,13 +99,14 @@ class World:
     has_switched: Tensor
     pose_history: Tensor
     speed_history: Tensor
+    command_queue: Tensor
 
 
 @dataclass(frozen=True)
 class Motion:
     """What a driver makes its vehicle do until the next decision; E worlds, S seats.
 
-    state: VehicleState [E, S], one control step later
+    state: VehicleState [E, S], wanted one control step later
     horizon: [E, S] float32, s, prediction horizon that was used; NaN for a driver that does not use one
     is_full_braking: [E, S] bool, no feasible plan existed
     """

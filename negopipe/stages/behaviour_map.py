@@ -30,7 +30,13 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Drive all pairs in all settings; writes behaviour_map.csv, figures/behaviour_map.* and claim 8's verdicts."""
     is_compiled = wants_compile(config.compile)
     game = build_game(
-        config.scenario, config.planner, config.observation, config.perception, device_of(config), is_compiled
+        config.scenario,
+        config.planner,
+        config.observation,
+        config.perception,
+        config.dynamics,
+        device_of(config),
+        is_compiled,
     )
     table = drive_map(config, game)
     table.to_csv(run.folder / "behaviour_map.csv", index=False)

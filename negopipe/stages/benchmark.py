@@ -125,7 +125,9 @@ def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figure
     before_mb = peak_memory_mb(_device(backend))
     benchmark, device = config.benchmark, _device(backend)
     is_compiled = backend in ("compiled", "cuda")
-    game = build_game(config.scenario, config.planner, config.observation, config.perception, device, is_compiled)
+    game = build_game(
+        config.scenario, config.planner, config.observation, config.perception, config.dynamics, device, is_compiled
+    )
     env = _start(config, game, n_worlds, device)
     actions = generator(config.seed, "benchmark actions", device)
 
@@ -153,7 +155,7 @@ def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figure
 
 def limits(config: "RunConfig", devices: list[str], figures: Figures) -> Figures:
     """What a decision needs at least, and how many the machine could take with its two rates."""
-    game = build_game(config.scenario, config.planner, config.observation, config.perception)
+    game = build_game(config.scenario, config.planner, config.observation, config.perception, config.dynamics)
     work = decision_workload(game, config.scenario)
     limit = {"limit.flops_per_decision": work.flops, "limit.bytes_per_decision": work.bytes}
     for device in devices:

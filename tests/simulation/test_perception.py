@@ -17,7 +17,7 @@ NOISY = PerceptionConfig(0.1, 0.02, 0.2, 0.1, 60.0, 0.4, 0.4)
 
 
 def seen_by(config: RunConfig, perception: PerceptionConfig) -> Game:
-    return build_game(config.scenario, config.planner, config.observation, perception)
+    return build_game(config.scenario, config.planner, config.observation, perception, config.dynamics)
 
 
 def drive(game: Game, world: World, n_steps: int) -> list[World]:
