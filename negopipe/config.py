@@ -23,7 +23,9 @@ from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
 from negopipe.reward import RewardConfig
 from negopipe.schema import NonNegativeInt, PositiveInt, schema
-from negopipe.simulation.scenario import ScenarioConfig
+from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
+from negopipe.simulation.perception import PerceptionConfig
+from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.tracking.store import TrackingConfig
 
 Stage = Literal["train", "evaluate", "report", "behaviour_map", "benchmark"]
@@ -48,6 +50,8 @@ class RunConfig:
     n_threads: PositiveInt
     compile: Literal["auto", "on", "off"]
     scenario: ScenarioConfig
+    perception: PerceptionConfig
+    dynamics: DynamicsConfig
     planner: PlannerConfig
     observation: ObservationConfig
     reward: RewardConfig
@@ -59,6 +63,11 @@ class RunConfig:
     report: ReportConfig
     tracking: TrackingConfig
     benchmark: BenchmarkConfig
+
+    @property
+    def evaluated_families(self) -> Families:
+        """The scenario's families that `evaluation.settings` names."""
+        return {name: self.scenario.families[name] for name in self.evaluation.settings}
 
 
 def load(composed: DictConfig) -> RunConfig:
@@ -94,6 +103,7 @@ def run_name(config: RunConfig) -> str:
 def check_components(config: RunConfig) -> None:
     """Conditions that no component can check alone; UserError names the first that does not hold."""
     _check_horizons(config)
+    _check_times(config)
     _check_grids(config)
     _check_evaluation(config)
 
@@ -106,7 +116,10 @@ def _check_horizons(config: RunConfig) -> None:
     places |= {f"curriculum.stages.{i}": stage.families for i, stage in enumerate(config.curriculum.stages)}
     for place, families in places.items():
         for name, family in families.items():
-            horizons[f"{place}.families.{name}.style_horizon_s"] = tuple(family.style_horizon_s)
+            key = f"{place}.families.{name}"
+            horizons[f"{key}.style_horizon_s"] = tuple(family.style_horizon_s)
+            if family.style_switch is not None:
+                horizons[f"{key}.style_switch.style_horizon_s"] = tuple(family.style_switch.style_horizon_s)
     if "behaviour_map" in config.stages:
         horizons["behaviour_map.horizons_s"] = tuple(config.behaviour_map.horizons_s)
         horizons["behaviour_map.styles_s"] = tuple(config.behaviour_map.styles_s)
@@ -116,13 +129,24 @@ def _check_horizons(config: RunConfig) -> None:
             raise UserError(f"{key} must be at most planner.horizon_s = {planned}, got {max(values)}")
 
 
+def _check_times(config: RunConfig) -> None:
+    """What is remembered or passed on at control steps happens at control steps."""
+    dt = config.scenario.dt_s
+    times = {
+        "observation.frame_interval_s": config.observation.frame_interval_s,
+        "perception.accel_window_s": config.perception.accel_window_s,
+        "perception.delay_s": config.perception.delay_s,
+    }
+    if isinstance(config.dynamics, BicycleConfig):
+        times["dynamics.actuation_delay_s"] = config.dynamics.actuation_delay_s
+    for key, time in times.items():
+        n_steps = round(time / dt)
+        if abs(time - n_steps * dt) > 1e-6 or (n_steps == 0 and time > 0):
+            raise UserError(f"{key} must be a multiple of scenario.dt_s = {dt}, got {time}")
+
+
 def _check_grids(config: RunConfig) -> None:
-    """Frames fall on control steps, and the convolutions leave something of the grid."""
-    interval, dt = config.observation.frame_interval_s, config.scenario.dt_s
-    n_steps = round(interval / dt)
-    if n_steps < 1 or abs(interval - n_steps * dt) > 1e-6:
-        rule = f"a multiple of scenario.dt_s = {dt}"
-        raise UserError(f"observation.frame_interval_s must be {rule}, got {interval}")
+    """The convolutions leave something of the grid."""
     side = config.observation.n_cells
     for index, conv in enumerate(config.policy.conv):
         if conv.kernel > side:

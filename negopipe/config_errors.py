@@ -9,7 +9,7 @@ import json
 import types
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from hydra.errors import MissingConfigException, OverrideParseException
 from omegaconf import OmegaConf
@@ -51,15 +51,26 @@ def explain_validation(error: ValidationError, root: type) -> str:
 
 
 def _problem(problem: Mapping[str, Any], root: type) -> str:
-    path = [str(part) for part in problem["loc"]]
-    key, kind = ".".join(path), problem["type"]
+    path, kind = [str(part) for part in problem["loc"]], problem["type"]
+    key = ".".join(_keys(root, path))
     if kind == "unexpected_keyword_argument":
-        return unknown_key(key, _allowed(root, path[:-1]))
+        return unknown_key(key, [field.name for schema in _schemas(_node(root, path[:-1])) for field in fields(schema)])
+    if kind.startswith("union_tag"):
+        return _wrong_variant(key, problem["ctx"])
     if kind in ("missing", "missing_argument"):
         return f"{key} is missing"
     is_whole_mapping = isinstance(problem["input"], Mapping) and not kind.endswith("_type")
     value = "" if is_whole_mapping else f", got {_shown(problem['input'])}"  # the rule names the values
     return f"{key} {_rule(problem)}{value}"
+
+
+def _wrong_variant(key: str, context: Mapping[str, str]) -> str:
+    """For a group of several kinds, one of whose fields says which kind it is."""
+    names = {name: value.replace("'", "") for name, value in context.items()}
+    field = f"{key}.{names['discriminator']}"
+    if "tag" not in names:
+        return f"{field} is missing"
+    return f"{field} must be one of {names['expected_tags']}, got {names['tag']}"
 
 
 def _rule(problem: Mapping[str, Any]) -> str:
@@ -79,24 +90,36 @@ def _shown(value: Any) -> str:
     return value if isinstance(value, str) and value else json.dumps(value)
 
 
-def _allowed(root: type, path: list[str]) -> list[str]:
-    """Field names of the dataclass that `path` leads to from `root`."""
+def _keys(root: type, path: list[str]) -> list[str]:
+    """The keys in pydantic's way to a value: within a group of several kinds it names the kind, which is no key."""
+    return [part for depth, part in enumerate(path) if len(_schemas(_node(root, path[:depth]))) < 2]
+
+
+def _node(root: type, path: list[str]) -> Any:
+    """Type hint of what pydantic's `path` leads to from `root`; None where it leads nowhere."""
     node: Any = root
     for part in path:
-        node = get_type_hints(_schema_in(node))[part] if _schema_in(node) else _item_type(node)
-    schema = _schema_in(node)
-    return [field.name for field in fields(schema)] if schema else []
+        schemas = _schemas(node)
+        if len(schemas) > 1:
+            node = next((schema for schema in schemas if _is_kind(schema, part)), None)
+        else:
+            node = get_type_hints(schemas[0]).get(part) if schemas else _item_type(node)
+    return node
 
 
-def _schema_in(hint: Any) -> Any:
-    """The dataclass that a type hint is, or holds beside None."""
+def _schemas(hint: Any) -> list[Any]:
+    """The dataclasses that a type hint is or allows: several where a group has several kinds."""
     if is_dataclass(hint):
-        return hint
-    if get_origin(hint) in (Annotated, types.UnionType):
-        return next(filter(None, map(_schema_in, get_args(hint))), None)
-    return None
+        return [hint]
+    if get_origin(hint) in (Annotated, Union, types.UnionType):
+        return [schema for arg in get_args(hint) for schema in _schemas(arg)]
+    return []
+
+
+def _is_kind(schema: Any, tag: str) -> bool:
+    return any(get_origin(hint) is Literal and tag in get_args(hint) for hint in get_type_hints(schema).values())
 
 
 def _item_type(hint: Any) -> Any:
     """What a list, tuple or dict holds."""
-    return [arg for arg in get_args(hint) if arg is not Ellipsis][-1]
+    return next((arg for arg in reversed(get_args(hint)) if arg is not Ellipsis), None)

@@ -4,68 +4,88 @@ import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import torch
 from torch import Tensor
 
+from negopipe.chunks import InChunks
 from negopipe.learning.rollout import Transition
 from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
 from negopipe.planner.frenet import FrenetPlanner, PlannerConfig
 from negopipe.reward import RewardConfig, reward
-from negopipe.simulation.perception import Perception, perceive
+from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
+from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
 from negopipe.simulation.scenario import ScenarioConfig, TaskSampler
 from negopipe.simulation.simulator import Events, Simulator
 from negopipe.simulation.state import EGO, Motion, VehicleState, World, map_tensors
+
+CHUNKS = {"cpu": 64, "cuda": 1024}
+"""Worlds that are computed at once: large enough for the cost of a call; on a CPU small enough for the cache."""
+
+
+class GameConfig(Protocol):
+    """What a game depends on; `negopipe.config.RunConfig` has it all."""
+
+    @property
+    def scenario(self) -> ScenarioConfig: ...
+
+    @property
+    def planner(self) -> PlannerConfig: ...
+
+    @property
+    def observation(self) -> ObservationConfig: ...
+
+    @property
+    def perception(self) -> PerceptionConfig: ...
+
+    @property
+    def dynamics(self) -> DynamicsConfig: ...
 
 
 @dataclass(frozen=True)
 class Game:
     """The parts that make one decision, each a function of tensors; compiled or not, they are called alike.
 
+    All take any number of worlds.
+
     simulator: resets worlds and knows the road
     planner: what `plan` belongs to
     plan: Perception, horizon [E, S] (s) -> Motion [E, S]
+    perceive: World -> Perception of all vehicles
     step: World, VehicleState [E, V] -> World, Events
     draw: Perception of one seat -> [E, F, H, W] uint8 grids
-    draw_few: the same, not compiled, for any number of worlds
     observation_shape: (F, H, W)
     """
 
     simulator: Simulator
     planner: FrenetPlanner
     plan: Callable[[Perception, Tensor], Motion]
+    perceive: Callable[[World], Perception]
     step: Callable[[World, VehicleState], tuple[World, Events]]
     draw: Callable[[Perception], Tensor]
-    draw_few: Callable[[Perception], Tensor]
     observation_shape: tuple[int, int, int]
 
 
-def build_game(
-    scenario: ScenarioConfig,
-    planner: PlannerConfig,
-    observation: ObservationConfig,
-    device: torch.device | str = "cpu",
-    is_compiled: bool = False,
-) -> Game:
-    """Everything that depends on the configuration but not on a task.
-
-    A compiled game is compiled anew for every number of worlds, so keep to one number.
-    """
-    simulator = Simulator(scenario, history_steps(observation, scenario.dt_s), device)
-    frenet = FrenetPlanner(planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
+def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compiled: bool = False) -> Game:
+    """Everything that depends on the configuration but not on a task."""
+    scenario, observation = config.scenario, config.observation
+    sensor = Sensor(config.perception, scenario.dt_s, history_steps(observation, scenario.dt_s))
+    simulator = Simulator(scenario, sensor.memory_steps, build_dynamics(config.dynamics, scenario.dt_s), device)
+    frenet = FrenetPlanner(config.planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
     grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)
+    size = CHUNKS[torch.device(device).type]
 
     def accelerate(fn: Callable) -> Callable:
-        return torch.compile(fn, dynamic=False) if is_compiled else fn
+        return InChunks(torch.compile(fn, dynamic=False) if is_compiled else fn, size, is_filled=is_compiled)
 
     return Game(
         simulator=simulator,
         planner=frenet,
         plan=accelerate(frenet.plan),
+        perceive=sensor.perceive,
         step=accelerate(simulator.step),
         draw=accelerate(grid.draw),
-        draw_few=grid.draw,
         observation_shape=grid.shape,
     )
 
@@ -101,7 +121,7 @@ class NegotiationEnv:
     def restart(self) -> None:
         """Start a new task in every world."""
         self.world = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
-        self._observation = self.game.draw_few(perceive(self.world).of(EGO))
+        self._observation = self.game.draw(self.game.perceive(self.world).of(EGO))
 
     def observe(self) -> Tensor:
         """[E, F, H, W] uint8, 0 or 1: the grids that the ego sees now."""
@@ -110,15 +130,17 @@ class NegotiationEnv:
     def step(self, action: Tensor) -> Transition:
         """Drive every vehicle for one control step; `action` [E] int64 is the ego's."""
         world = self.world
-        horizon = world.task.style_horizon.clone()
+        perception = self.game.perceive(world)
+        horizon = perception.style_horizon.clone()
         horizon[:, EGO] = self._horizons[action]
-        motion = self.game.plan(perceive(world), horizon)
+        motion = self.game.plan(perception, horizon)
         moved, events = self.game.step(world, motion.state)
-        reached = self.game.draw(perceive(moved).of(EGO))
-        self._observation = self._start_again(moved, events.is_terminated | events.is_truncated, reached)
+        reached = self.game.draw(self.game.perceive(moved).of(EGO))
+        is_done = events.is_terminated | events.is_truncated
+        final = self._start_again(moved, reached, is_done.nonzero()[:, 0])
         return Transition(
             observation=self._observation,
-            final_observation=reached,
+            final_observation=final,
             reward=reward(self.reward_config, events.is_collision, events.is_success),
             is_terminated=events.is_terminated,
             is_truncated=events.is_truncated,
@@ -126,11 +148,15 @@ class NegotiationEnv:
             is_collision=events.is_collision,
         )
 
-    def _start_again(self, moved: World, is_done: Tensor, reached: Tensor) -> Tensor:
-        """New tasks where episodes are over; the observation [E, F, H, W] of the worlds that go on from here."""
-        self.world = self.game.simulator.reset_where(is_done, moved, self.sampler.draw(self.n_worlds))
-        which = is_done.nonzero()[:, 0]
-        if len(which) == 0:
-            return reached
-        started = map_tensors(lambda field: field[which], self.world)
-        return reached.index_copy(0, which, self.game.draw_few(perceive(started).of(EGO)))
+    def _start_again(self, moved: World, reached: Tensor, which: Tensor) -> Tensor:
+        """Go on from `moved`, seeing `reached` [E, F, H, W], with new tasks in the D worlds `which`.
+
+        Returns what was seen last in those, [D, F, H, W].
+        """
+        self.world, self._observation = moved, reached
+        final = reached[which]
+        if len(which) > 0:
+            started = self.game.simulator.reset(self.sampler.draw(len(which)))
+            self.world = map_tensors(lambda field, new: field.index_copy(0, which, new), moved, started)
+            reached.index_copy_(0, which, self.game.draw(self.game.perceive(started).of(EGO)))
+        return final

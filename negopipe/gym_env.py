@@ -5,8 +5,8 @@
     envs = gymnasium.make_vec("negopipe/NarrowLane-v0", num_envs=64, vectorization_mode="vector_entry_point")
 
 Observations are the occupancy grids, uint8, 0 = free and 255 = occupied, as image policies expect them; actions
-are indices into `policy.horizons_s`. Tasks are drawn from the scenario's families. `overrides` are those of the
-command line.
+are indices into `policy.horizons_s`. Tasks are drawn from the families that `evaluation.settings` names. `overrides`
+are those of the command line.
 """
 
 from collections.abc import Sequence
@@ -41,8 +41,8 @@ def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
 
 def _build(overrides: Sequence[str], n_worlds: int) -> NegotiationEnv:
     config = compose_config(overrides)
-    game = build_game(config.scenario, config.planner, config.observation)
-    sampler = TaskSampler(config.scenario, config.scenario.families, torch.Generator())
+    game = build_game(config)
+    sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator())
     return NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
 
 
@@ -74,7 +74,8 @@ class NarrowLaneEnv(gymnasium.Env[np.ndarray, np.int64]):
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         reached = self._worlds.step(torch.tensor([int(action)]))
         info = {"is_success": bool(reached.is_success), "is_collision": bool(reached.is_collision)}
-        observation = _grids(reached.final_observation)[0]
+        is_over = bool(reached.is_terminated | reached.is_truncated)
+        observation = _grids(reached.final_observation if is_over else reached.observation)[0]
         return (
             observation,
             float(reached.reward),
@@ -120,8 +121,8 @@ class NarrowLaneVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.
             return {}
         final_obs = np.full(self.num_envs, None, dtype=object)
         grids = _grids(reached.final_observation)
-        for world in is_done.nonzero()[0]:
-            final_obs[world] = grids[world]
+        for row, world in enumerate(is_done.nonzero()[0]):
+            final_obs[world] = grids[row]
         final_info = {
             "is_success": reached.is_success.numpy(),
             "_is_success": is_done,

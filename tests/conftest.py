@@ -17,7 +17,7 @@ def config() -> RunConfig:
 
 @pytest.fixture(scope="session")
 def game(config: RunConfig) -> Game:
-    return build_game(config.scenario, config.planner, config.observation)
+    return build_game(config)
 
 
 @pytest.fixture(scope="session")
@@ -28,4 +28,4 @@ def three_social_config() -> RunConfig:
 @pytest.fixture(scope="session")
 def three_social(three_social_config: RunConfig) -> Game:
     c = three_social_config
-    return build_game(c.scenario, c.planner, c.observation)
+    return build_game(c)

@@ -1,12 +1,25 @@
 """Tasks for tests that drive."""
 
+from dataclasses import replace
+
 import torch
 
 from negopipe.config import RunConfig
 from negopipe.simulation.scenario import FamilyConfig, TaskSampler
-from negopipe.simulation.state import Task
+from negopipe.simulation.state import Task, VehicleState, World, map_tensors
 
-MIXTURE = {"mixture": FamilyConfig(1.0, (11.99, 18.80), [0.0, 2.0, 4.0, 6.0])}
+MIXTURE = {"mixture": FamilyConfig(1.0, (11.99, 18.80), [0.0, 2.0, 4.0, 6.0], None)}
+
+
+def place(world: World, vehicles: VehicleState) -> World:
+    """`world` with its vehicles elsewhere, as if they had always been there."""
+    pose = torch.cat([vehicles.position, vehicles.yaw[..., None]], dim=-1)
+    return replace(
+        world,
+        vehicles=map_tensors(torch.clone, vehicles),
+        pose_history=pose[:, None].expand_as(world.pose_history).contiguous(),
+        speed_history=vehicles.speed[:, None].expand_as(world.speed_history).contiguous(),
+    )
 
 
 def draw_tasks(config: RunConfig, n: int, seed: int = 0) -> Task:

@@ -86,11 +86,34 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             ["observation.frame_interval_s=0.5"],
             "observation.frame_interval_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
         ),
+        (["+dynamics.foo=1"], "dynamics.foo is not a known key, allowed: model"),
+        (["dynamics=bicycle", "dynamics.wheelbase_m=0"], "dynamics.wheelbase_m must be greater than 0, got 0"),
+        (["dynamics=bicycle", "~dynamics.wheelbase_m"], "dynamics.wheelbase_m is missing"),
+        (["dynamics=bicycle", "+dynamics.wheelbas_m=1"], "dynamics.wheelbas_m is not a known key, did you mean wheelb"),
+        (["dynamics.model=magic"], "dynamics.model must be one of perfect, bicycle, got magic"),
+        (["~dynamics.model"], "dynamics.model is missing"),
+        (
+            ["dynamics=bicycle", "dynamics.actuation_delay_s=0.1"],
+            "dynamics.actuation_delay_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+        ),
+        (["perception.delay_s=0.3"], "perception.delay_s must be a multiple of scenario.dt_s = 0.2, got 0.3"),
+        (["perception.accel_window_s=0.05"], "perception.accel_window_s must be a multiple of scenario.dt_s = 0.2, "),
         (
             ["observation.n_cells=20"],
             "policy.conv.2.kernel must be at most 1, what is left there of observation.n_cells = 20, got 3",
         ),
-        (["evaluation.settings=[rest]"], "evaluation.settings must be among push, yield, got rest"),
+        (
+            ["evaluation.settings=[rest]"],
+            "evaluation.settings must be among push, yield, mixture, mixture_switching, got rest",
+        ),
+        (
+            ["scenario.families.mixture_switching.style_switch.style_horizon_s=[7.0]"],
+            "scenario.families.mixture_switching.style_switch.style_horizon_s must be at most planner.",
+        ),
+        (
+            [f"scenario.families.mixture_switching.style_switch.{cause}_s=null" for cause in ("at", "stuck")],
+            "scenario.families.mixture_switching.style_switch must have an interval for at_s or stuck_s, both are null",
+        ),
         (
             ["evaluation.leading_setting=rest"],
             "evaluation.leading_setting must be among push, yield, got rest",

@@ -10,13 +10,11 @@ from torch import Tensor
 
 from negopipe.driver import ChooseHorizon, Driver, HorizonDriver, drive_together, own_style
 from negopipe.env import Game
-from negopipe.evaluation.metrics import AT_REST_MPS
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
 from negopipe.schema import NonNegativeFloat, NonNegativeInt, PositiveInt, schema
-from negopipe.simulation.perception import perceive
 from negopipe.simulation.simulator import Events
-from negopipe.simulation.state import EGO, Motion, Task, World, map_tensors, where_world
+from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, where_world
 
 DEADLOCK_S = 5.0
 """Time at rest, nose to nose, that makes a timeout a deadlock (Reading: deadlock)."""
@@ -82,7 +80,7 @@ def _record(
     states, decisions = [_state_row(game, world)], []
     is_success = is_collision = ~is_running
     for _ in range(game.simulator.scenario.episode_steps):
-        motion = drive_together(drivers, perceive(world))
+        motion = drive_together(drivers, game.perceive(world))
         moved, events = game.step(world, motion.state)
         world = where_world(is_running, moved, world)
         states.append(_state_row(game, world))

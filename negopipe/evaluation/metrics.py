@@ -9,10 +9,8 @@ import numpy as np
 import pandas as pd
 
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.simulation.state import EGO
+from negopipe.simulation.state import AT_REST_MPS, EGO
 
-AT_REST_MPS = 0.1
-"""Below this speed a vehicle is at rest."""
 MOVING_MPS = 0.5
 """Above this speed a vehicle moves; in between it keeps what it was."""
 NEAREST = 1

@@ -26,7 +26,7 @@ class Trace:
     family: name of the task family, e.g. "push"
     dt_s: float, time between decisions
     start_distance_m: [E, V] float32, m, to the mouth that the vehicle meets first
-    style_horizon_s: [E, V] float32, s, style of the social vehicles; NaN for the ego
+    style_horizon_s: [E, V] float32, s, style in which the social vehicles start; NaN for the ego
     position_m: [T+1, E, V, 2] float32, world frame
     yaw_rad: [T+1, E, V] float32, world frame
     speed_mps: [T+1, E, V] float32

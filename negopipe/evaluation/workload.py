@@ -25,10 +25,10 @@ _WORD = 13  # the same as bits of one machine word
 _CELL = 3  # shift, mask, narrow
 
 _STATE_FLOATS = 6  # position 2, yaw, speed, acceleration, curvature
-_POSE_FLOATS = 3
-_TASK_FLOATS = 5
-_FLAG_BYTES = 2  # has reached, has collided
-_WORLD_BYTES = 2 * 8  # step, family
+_POSE_FLOATS = 4  # with the speed
+_TASK_FLOATS = 8
+_FLAG_BYTES = 3 + 8  # has reached, has collided, has switched; steps at rest
+_WORLD_BYTES = 3 * 8  # step, family, noise seed
 _WORD_BITS = 28
 
 
@@ -55,7 +55,7 @@ def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
 
         flops = V [C T sample + L S (station + P overlap) + L C T (check + O (overlap + in_horizon)) + O T predict]
               + V (O + P) overlap + (F V + P + B) H (crossing + words * word) + F H W cell
-        bytes = 2 V (state + K pose + flags) + V task + 2 counters + F H W
+        bytes = 2 V (state + K pose + flags) + V task + 3 counters + F H W
     """
     n_vehicles = 1 + scenario.n_social
     n_others, n_parked = scenario.n_social, len(game.simulator.road.parked_cars)

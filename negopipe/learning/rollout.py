@@ -17,7 +17,7 @@ class Transition:
     """One decision of every world.
 
     observation: [E, *obs], what the policy sees next; where the episode is over, the next one's first
-    final_observation: [E, *obs] of the state reached, before any reset; equal to `observation` elsewhere
+    final_observation: [D, *obs] of the states reached in the D worlds whose episode is over, in their order
     reward: [E] float32
     is_terminated: [E] bool, the episode is over: everyone has arrived, or a collision
     is_truncated: [E] bool, the episode was cut off at the time limit; the state reached has a value
@@ -126,8 +126,10 @@ def collect(
 def _final_value(policy: ActorCritic, transition: Transition) -> Tensor:
     """Values of the final observations where truncated, else 0, [E]; the network sees only those."""
     final_value = torch.zeros_like(transition.reward)
+    is_done = transition.is_terminated | transition.is_truncated
     if transition.is_truncated.any():
-        final_value[transition.is_truncated] = policy(transition.final_observation[transition.is_truncated])[1]
+        final = transition.final_observation[transition.is_truncated[is_done]]
+        final_value[transition.is_truncated] = policy(final)[1]
     return final_value
 
 

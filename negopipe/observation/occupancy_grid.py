@@ -17,6 +17,9 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import VehicleConfig
 
+FAR_M = 1000.0
+"""Where no grid reaches."""
+
 WORD_BITS = 28
 """Columns per machine word; three words hold the paper's 84 columns."""
 
@@ -64,7 +67,7 @@ class OccupancyGrid:
         self._stride = frame_stride(config, dt_s)
         cells = torch.arange(n, device=device)
         self._ahead = (n - cells - 0.5) * config.cell_along_m - config.behind_m  # [H] m, row centres
-        self._word_start = torch.arange(0, n, WORD_BITS, device=device)  # [K] first column of each word
+        self._word_start = torch.arange(0, n, WORD_BITS, device=device)[:, None]  # [K, 1] first column of each word
         self._bits = torch.arange(WORD_BITS, device=device, dtype=torch.int32)
         self._static = _static_boxes(road)  # fields [R], world frame
 
@@ -78,46 +81,52 @@ class OccupancyGrid:
         pose = own[:, 0]
         moving = torch.cat([own[:, :, None], others], dim=2)
         x, y, yaw = moving.unbind(-1)
+        is_seen = perception.is_seen_history[:, :: self._stride, 0]
+        x = torch.where(torch.cat([torch.ones_like(is_seen[..., :1]), is_seen], dim=-1), x, FAR_M)
         half_length, half_width = self.vehicle.length_m / 2, self.vehicle.width_m / 2
         vehicles = Boxes(x, y, torch.cos(yaw), torch.sin(yaw), half_length, half_width)
         static = self._rows(_in_body_frame(self._static, pose[:, None]))
         return self._cells(static[:, None] | self._rows(_in_body_frame(vehicles, pose[:, None, None])))
 
     def _rows(self, boxes: Boxes) -> Tensor:
-        """Union of the rectangles with fields [..., R] (body frame): [..., H, K] int32, a bit per cell."""
-        config = self.config
-        left, right = self._row_crossings(boxes)
-        half_width = config.n_cells * config.cell_across_m / 2
-        first = torch.ceil((half_width - left) / config.cell_across_m - 0.5)
-        end = torch.floor((half_width - right) / config.cell_across_m - 0.5) + 1
-        low = (first[..., None] - self._word_start).clamp(0, WORD_BITS).to(torch.int32)
-        high = (end[..., None] - self._word_start).clamp(0, WORD_BITS).to(torch.int32)
+        """Union of the rectangles with fields [..., R] (body frame): [..., K, H] int32, a bit per cell."""
+        first, end = self._columns(boxes)
+        low = (first[..., None, :] - self._word_start).clamp(0, WORD_BITS).to(torch.int32)
+        high = (end[..., None, :] - self._word_start).clamp(0, WORD_BITS).to(torch.int32)
         one = torch.ones_like(low)
         span = (torch.bitwise_left_shift(one, high) - torch.bitwise_left_shift(one, low)).clamp(min=0)
         return reduce(torch.bitwise_or, span.unbind(-3))
 
     def _cells(self, rows: Tensor) -> Tensor:
-        """Bits [..., H, K] -> cells [..., H, W] uint8."""
-        cells = torch.bitwise_right_shift(rows[..., None], self._bits).bitwise_and(1).to(torch.uint8)
+        """Bits [..., K, H] -> cells [..., H, W] uint8."""
+        words = rows.transpose(-1, -2)[..., None]
+        cells = torch.bitwise_right_shift(words, self._bits).bitwise_and(1).to(torch.uint8)
         return cells.flatten(-2)[..., : self.config.n_cells]
 
-    def _row_crossings(self, boxes: Boxes) -> tuple[Tensor, Tensor]:
-        """Leftmost and rightmost y (m, body frame) at which each row's centre line is inside, [..., R, H]."""
-        half_length = torch.as_tensor(boxes.half_length)[..., None]
-        half_width = torch.as_tensor(boxes.half_width)[..., None]
-        cos, sin = boxes.cos[..., None], boxes.sin[..., None]
+    def _columns(self, boxes: Boxes) -> tuple[Tensor, Tensor]:
+        """First column and the one after the last whose centre is inside, for each row, [..., R, H] float32.
+
+        Along a row, each pair of parallel sides leaves an interval whose middle moves in proportion to the row.
+        """
+        config = self.config
+        half_width = config.n_cells * config.cell_across_m / 2
         du = self._ahead - boxes.x[..., None]
-        long_mid, long_half = _slab(du * cos, sin, half_length)
-        wide_mid, wide_half = _slab(-du * sin, cos, half_width)
-        left = torch.minimum(long_mid + long_half, wide_mid + wide_half)
-        right = torch.maximum(long_mid - long_half, wide_mid - wide_half)
-        return left + boxes.y[..., None], right + boxes.y[..., None]
+        long_shift, long_half = _slab(boxes.cos, boxes.sin, boxes.half_length)
+        wide_shift, wide_half = _slab(-boxes.sin, boxes.cos, boxes.half_width)
+        long_mid, wide_mid = du * long_shift, du * wide_shift
+        left = torch.minimum(long_mid + long_half, wide_mid + wide_half) + boxes.y[..., None]
+        right = torch.maximum(long_mid - long_half, wide_mid - wide_half) + boxes.y[..., None]
+        first = torch.ceil((half_width - left) / config.cell_across_m - 0.5)
+        return first, torch.floor((half_width - right) / config.cell_across_m - 0.5) + 1
 
 
-def _slab(offset: Tensor, slope: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:
-    """Middle and half length of {w: |offset + slope * w| <= half}; a slope of nearly 0 means all w or none."""
-    slope = torch.where(slope.abs() < 1e-6, 1e-6, slope)
-    return -offset / slope, half / slope.abs()
+def _slab(along: Tensor, across: Tensor, half: Tensor | float) -> tuple[Tensor, Tensor]:
+    """{w: |along * u + across * w| <= half} as its middle per u and its half length, each [..., 1].
+
+    Where `across` is nearly 0, that is all w or none.
+    """
+    across = torch.where(across.abs() < 1e-6, 1e-6, across)
+    return (-along / across)[..., None], (half / across.abs())[..., None]
 
 
 def _in_body_frame(boxes: Boxes, pose: Tensor) -> Boxes:

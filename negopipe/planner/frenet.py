@@ -1,9 +1,11 @@
 """The planner: sample, check, cost, choose (Werling 2010; problem (1) of the paper).
 
 Axes here: N vehicles that plan (worlds and seats flattened), O others that each perceives, C longitudinal and
-L lateral candidates, T times, P parked cars, S stations along a path.
+L lateral candidates, T times, P parked cars, S stations along a path, K stations around a predicted vehicle. N
+stands last in every tensor: whatever is computed per vehicle runs on vector units, and no axis has to be moved.
 """
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -12,6 +14,7 @@ from torch import Tensor
 from negopipe.planner.lateral import LateralCandidates, LateralConfig
 from negopipe.planner.longitudinal import LongitudinalCandidates, LongitudinalConfig, LongitudinalSamples
 from negopipe.planner.prediction import PredictedPath, PredictionConfig, predict
+from negopipe.planner.roadside import Roadside
 from negopipe.schema import NonNegativeFloat, PositiveFloat, schema
 from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.simulation.perception import Perception
@@ -27,6 +30,7 @@ class LimitConfig:
     speed_max_mps: PositiveFloat
     accel_max_mps2: PositiveFloat
     decel_max_mps2: PositiveFloat
+    jerk_max_mps3: PositiveFloat
     lateral_accel_max_mps2: PositiveFloat
     curvature_max_1pm: PositiveFloat
     full_braking_mps2: PositiveFloat
@@ -45,6 +49,7 @@ class ClearanceConfig:
     beside_m: NonNegativeFloat
     beside_s: NonNegativeFloat
     station_m: PositiveFloat
+    conflict_station_m: PositiveFloat
 
 
 @schema
@@ -73,14 +78,19 @@ class PlannerConfig:
 class Paths(NamedTuple):
     """Lateral candidates that start at the present states.
 
-    coefficients: six tensors [N, L] of the quintics
-    free_distance: [N, L] m, how far along the road the path may be driven: before the first point at which it is
+    coefficients: six tensors [L, N] of the quintics
+    free_distance: [L, N] m, how far along the road the path may be driven: before the first point at which it is
         too sharp or comes too close to a kerb or a parked car
-    cost: [N, L]
+    stretch: [L, N], the most metres of path per metre of road
+    stretching: [L, N] 1/m, the fastest change of that: driving along the road at a constant speed, the vehicle
+        speeds up along its path by at most `stretching` times the square of that speed
+    cost: [L, N]
     """
 
     coefficients: tuple[Tensor, ...]
     free_distance: Tensor
+    stretch: Tensor
+    stretching: Tensor
     cost: Tensor
 
 
@@ -100,9 +110,11 @@ class FrenetPlanner:
         self.times = torch.arange(1, n_times + 1, device=device) * dt_s
         self.longitudinal = LongitudinalCandidates(config.longitudinal, self.times)
         self.lateral = LateralCandidates(config.lateral, road, device)
+        self.roadside = Roadside(road, vehicle, config.clearance.parked_m)
         reach = config.limits.speed_max_mps * config.horizon_s
         n_stations = int(reach / config.clearance.station_m) + 1
         self.stations = torch.arange(1, n_stations + 1, device=device) * config.clearance.station_m
+        self._around = _stations_around(config, vehicle).to(device)  # [K] m
 
     @property
     def n_combinations(self) -> int:
@@ -112,19 +124,20 @@ class FrenetPlanner:
     def plan(self, perception: Perception, horizon: Tensor) -> Motion:
         """Best feasible trajectory of every seat, given its prediction horizon [E, S] (s)."""
         shape = horizon.shape
-        own, other = map_tensors(_flatten, perception.own), map_tensors(_flatten, perception.other)
+        own = map_tensors(_flatten, perception.own)
+        other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
         direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
         route = self.road.to_route(own, direction)
         samples = self.longitudinal.sample(route, desired_speed)
         paths = self._paths(route, direction, desired_speed)
-        is_feasible = self._is_drivable(samples)[:, None, :]
-        is_feasible = is_feasible & (samples.travelled[:, None, :, -1] <= paths.free_distance[:, :, None])
-        predicted = predict(self.config.prediction, self.road, other, direction[:, None], self.times)
-        is_feasible = is_feasible & ~self._conflicts(
-            route, direction, samples, paths, predicted, other.speed, horizon.flatten()
-        )
-        cost = paths.cost[:, :, None] + self._longitudinal_cost(samples, desired_speed)[:, None, :]
-        cost, best = torch.where(is_feasible, cost, torch.inf).flatten(1).min(dim=1)
+        is_feasible = self._is_drivable(samples, paths, route)
+        is_feasible = is_feasible & (samples.travelled[:, -1] <= paths.free_distance[:, None])
+        predicted = predict(self.config.prediction, self.road, other, direction, self.times)
+        first, last = self._blocked(route, direction, paths, predicted, other.speed)
+        is_seen = _flatten(perception.is_seen).transpose(0, 1)
+        is_feasible = is_feasible & ~self._conflicts(samples, first, last, horizon.flatten(), is_seen)
+        cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
+        cost, best = torch.where(is_feasible, cost, torch.inf).flatten(0, 1).min(dim=0)
         is_full_braking = torch.isinf(cost)
         following = self._follow(route, direction, samples, paths, best)
         braking = self._brake(route, direction, paths)
@@ -138,101 +151,121 @@ class FrenetPlanner:
 
     def _paths(self, route: RouteState, direction: Tensor, desired_speed: Tensor) -> Paths:
         coefficients = self.lateral.start(route, direction)
-        at = self.stations[None, None]
-        point = self.lateral.follow(coefficients, route.s, direction, at)
+        at = self.stations[:, None]  # [S, 1]
+        d, slope, bend = self.lateral.follow(coefficients, route.s, direction, at.expand(-1, len(direction)))
+        s = route.s + at
+        curvature, stretch, stretching = self._shape(s, direction, d, slope, bend)
         limits = self.config.limits
-        curvature = point.bend.abs() * torch.rsqrt(1 + point.slope**2) ** 3
         allowed = (limits.lateral_accel_max_mps2 / desired_speed**2).clamp(max=limits.curvature_max_1pm)
-        is_blocked = curvature > allowed[:, None, None]
-        is_blocked = is_blocked | self._hits_roadside(route.s[:, None, None] + at, point.d, point.slope, direction)
-        first = torch.where(is_blocked, self.stations, torch.inf).amin(-1)
+        excess = torch.maximum(curvature.abs() - allowed, self.roadside.excess(s, direction, d, slope))
+        first = torch.where(excess > 0, at, torch.inf).amin(1)
         weights = self.config.cost
-        bend = torch.stack(coefficients[2:]).square().sum(0)
-        cost = weights.offset * self.lateral.offset**2 + weights.bend * bend
-        return Paths(coefficients, first - self.config.clearance.station_m, cost)
+        cost = weights.bend * torch.stack(coefficients[2:]).square().sum(0) + weights.offset * self.lateral.offset**2
+        free_distance = first - self.config.clearance.station_m
+        return Paths(coefficients, free_distance, stretch.amax(1), stretching.abs().amax(1), cost)
 
-    def _hits_roadside(self, s: Tensor, d: Tensor, slope: Tensor, direction: Tensor) -> Tensor:
-        """[N, L, S] bool: the footprint, grown by the clearance, touches a parked car or a kerb."""
-        size, clearance = self.vehicle, self.config.clearance.parked_m
-        half_length, half_width = size.length_m / 2 + clearance, size.width_m / 2 + clearance
-        cos = torch.rsqrt(1 + slope**2)
-        sin = slope * cos
-        parked = self.road.parked_boxes()
-        own = Boxes(s[..., None], d[..., None], cos[..., None], sin[..., None], half_length, half_width)
-        towards = direction[:, None, None, None]
-        seen = parked._replace(x=towards * parked.x + self.road.config.corridor_length_m / 2, y=towards * parked.y)
-        reach = half_length * sin.abs() + half_width * cos
-        is_off_road = d.abs() + reach > self.road.config.width_m / 2
-        return (overlap_depth(own, seen).amax(-1) > 0) | is_off_road
+    def _shape(
+        self, s: Tensor, direction: Tensor, d: Tensor, slope: Tensor, bend: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Of points on paths: curvature (1/m), metres of path per metre of road and the change of that (1/m)."""
+        if self.road.reference.is_straight:
+            stretch = torch.sqrt(1 + slope**2)
+            return bend / stretch**3, stretch, slope * bend / stretch
+        kappa, kappa_prime = self.road.curvature(s, direction)
+        scale = 1 - kappa * d
+        bulge = kappa_prime * d + kappa * slope  # (kappa d)'
+        stretch = torch.sqrt(scale**2 + slope**2)
+        turn = (scale * bend + slope * bulge) / stretch**2  # of the heading relative to the line
+        return (turn + kappa) / stretch, stretch, (slope * bend - scale * bulge) / stretch
 
-    def _is_drivable(self, samples: LongitudinalSamples) -> Tensor:
-        """[N, C] bool: speed and acceleration stay within the limits at all times."""
+    def _is_drivable(self, samples: LongitudinalSamples, paths: Paths, route: RouteState) -> Tensor:
+        """[L, C, N] bool: speed, acceleration and jerk stay within the limits along the path at all times."""
         limits = self.config.limits
         tolerance = 0.05  # m/s: rounding and the last centimetres before standstill; executed speeds are >= 0
-        is_ok = (samples.speed >= -tolerance) & (samples.speed <= limits.speed_max_mps)
-        is_ok = is_ok & (samples.accel <= limits.accel_max_mps2) & (samples.accel >= -limits.decel_max_mps2)
-        return is_ok.all(-1)
+        is_ok = samples.speed.amin(1) >= -tolerance
+        is_ok = is_ok & (samples.jerk.abs().amax(1) <= limits.jerk_max_mps3)
+        fastest, stretch = samples.speed.amax(1), paths.stretch[:, None]
+        swing = paths.stretching[:, None] * fastest**2
+        is_ok = is_ok & (fastest * stretch <= limits.speed_max_mps)
+        is_ok = is_ok & (samples.accel.amax(1) * stretch + swing <= limits.accel_max_mps2)
+        return is_ok & (samples.accel.amin(1) * stretch - swing >= -limits.decel_max_mps2)
 
     def _longitudinal_cost(self, samples: LongitudinalSamples, desired_speed: Tensor) -> Tensor:
-        """[N, C]"""
+        """[C, N]"""
         weights = self.config.cost
-        lag = samples.speed - desired_speed[:, None, None]
-        return weights.jerk * samples.jerk.square().mean(-1) + weights.speed * lag.square().mean(-1)
+        lag = samples.speed - desired_speed
+        return weights.jerk * samples.jerk.square().mean(1) + weights.speed * lag.square().mean(1)
+
+    def _blocked(
+        self, route: RouteState, direction: Tensor, paths: Paths, predicted: PredictedPath, speed: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """First and last distance travelled [O, L, T, N] (m) at which a predicted vehicle is in the way.
+
+        At K stations around where the other is predicted, the depth of overlap is measured. It changes by about a
+        metre per metre at most, so from a free station that lies at depth -x nothing is met for x metres: that
+        is where the blocked stretch is taken to begin and to end. Where nothing is in the way, first > last.
+        """
+        size, clearance = self.vehicle, self.config.clearance
+        around = self._around[:, None, None, None]  # [K, O, T, N]
+        base = predicted.s - route.s
+        d, slope, _ = self.lateral.follow(paths.coefficients, route.s, direction, base + around)
+        u, v, slope = self.road.in_tangent_frame(predicted.s, direction, around, d, slope)  # [L, K, O, T, N]
+        cos, other_cos = torch.rsqrt(1 + slope**2), torch.rsqrt(1 + predicted.slope**2)
+        own = Boxes(u, v, cos, slope * cos, size.length_m / 2, size.width_m / 2)
+        other = Boxes(
+            torch.zeros_like(predicted.d),
+            predicted.d,
+            other_cos,
+            predicted.slope * other_cos,
+            size.length_m / 2 + clearance.ahead_m,
+            size.width_m / 2 + clearance.beside_m + clearance.beside_s * speed[:, None],
+        )
+        depth = overlap_depth(own, other)
+        before, after = depth[:, :-1], depth[:, 1:]
+        step = self._around[1] - self._around[0]
+        entered = around[:-1] + torch.minimum((-before).clamp(min=0), step)
+        left = around[1:] - torch.minimum((-after).clamp(min=0), step)
+        first = torch.where(after > 0, entered, torch.inf).amin(1)  # [L, O, T, N]
+        last = torch.where(before > 0, left, -torch.inf).amax(1)
+        return base + first, base + last
 
     def _conflicts(
-        self,
-        route: RouteState,
-        direction: Tensor,
-        samples: LongitudinalSamples,
-        paths: Paths,
-        predicted: PredictedPath,
-        predicted_speed: Tensor,
-        horizon: Tensor,
+        self, samples: LongitudinalSamples, first: Tensor, last: Tensor, horizon: Tensor, is_seen: Tensor
     ) -> Tensor:
-        """[N, L, C] bool: the footprint meets a predicted vehicle at some time within the prediction horizon."""
-        size, clearance = self.vehicle, self.config.clearance
-        travelled = samples.travelled[:, None]  # [N, 1, C, T]
-        point = self.lateral.follow(paths.coefficients, route.s, direction, travelled)
-        cos = torch.rsqrt(1 + point.slope**2)
-        own = Boxes(
-            (route.s[:, None, None, None] + travelled)[:, None],
-            point.d[:, None],
-            cos[:, None],
-            (point.slope * cos)[:, None],
-            size.length_m / 2,
-            size.width_m / 2,
-        )
-        beside = size.width_m / 2 + clearance.beside_m + clearance.beside_s * predicted_speed  # [N, O]
-        other_cos = torch.rsqrt(1 + predicted.slope**2)
-        fields = (predicted.s, predicted.d, other_cos, predicted.slope * other_cos)  # [N, O, T] each
-        s, d, cos, sin = (field[:, :, None, None, :] for field in fields)
-        half_length = size.length_m / 2 + clearance.ahead_m
-        other = Boxes(s, d, cos, sin, half_length, beside[:, :, None, None, None])
-        is_predicted = self.times <= horizon[:, None] + self.dt_s / 2
-        depth = overlap_depth(own, other)  # [N, O, L, C, T]
-        return torch.where(is_predicted[:, None, None, None, :], depth, -torch.inf).amax((1, -1)) > 0
+        """[L, C, N] bool: the vehicle is within a blocked stretch at some time within its prediction horizon.
+
+        Others that are not seen (`is_seen` [O, N]) do not count.
+        """
+        is_predicted = self.times[:, None] <= horizon + self.dt_s / 2  # [T, N]
+        counts = is_predicted & is_seen[:, None]  # [O, T, N]
+        first = torch.where(counts, first, torch.inf)
+        last = torch.where(counts, last, -torch.inf)
+        travelled = samples.travelled[:, None]  # [C, 1, T, N]
+        within = torch.minimum(travelled - first[:, None], last[:, None] - travelled)  # [L, C, O, T, N]
+        return within.amax((2, 3)) > 0
 
     def _follow(
         self, route: RouteState, direction: Tensor, samples: LongitudinalSamples, paths: Paths, best: Tensor
     ) -> RouteState:
         """State one step along the chosen combination [N] (flat index over L x C)."""
         n_longitudinal = self.longitudinal.n_candidates
-        column = (best % n_longitudinal)[:, None]
-        travelled, speed, accel = (field[:, :, 0].gather(1, column)[:, 0] for field in samples[:3])
+        row = (best % n_longitudinal)[None]
+        travelled, speed, accel = (field[:, 0].gather(0, row)[0] for field in samples[:3])
         is_at_rest = speed < 1e-3
         speed = torch.where(is_at_rest, 0.0, speed)
         accel = torch.where(is_at_rest, 0.0, accel)
-        return self._on_path(route, direction, paths, best // n_longitudinal, travelled.clamp(min=0), speed, accel)
+        chosen = best // n_longitudinal
+        return self._on_path(route, direction, paths, chosen, travelled.clamp(min=0), speed, accel)
 
     def _brake(self, route: RouteState, direction: Tensor, paths: Paths) -> RouteState:
         """State one step into full braking, on the path that stays free the longest."""
-        stretch = torch.sqrt(1 + route.d_prime**2)  # the limit holds along the path, the plan is along the road
-        decel, dt = self.config.limits.full_braking_mps2 / stretch, self.dt_s
+        stretch = self._shape(route.s, direction, route.d, route.d_prime, route.d_pprime)[1]
+        decel, dt = self.config.limits.full_braking_mps2 / stretch, self.dt_s  # the limit holds along the path
         moving_s = (route.s_dot / decel).clamp(max=dt)
         travelled = route.s_dot * moving_s - decel * moving_s**2 / 2
         speed = (route.s_dot - decel * dt).clamp(min=0)
         accel = torch.where(speed > 0, -decel, 0.0)
-        return self._on_path(route, direction, paths, paths.free_distance.argmax(1), travelled, speed, accel)
+        return self._on_path(route, direction, paths, paths.free_distance.argmax(0), travelled, speed, accel)
 
     def _on_path(
         self,
@@ -244,10 +277,20 @@ class FrenetPlanner:
         speed: Tensor,
         accel: Tensor,
     ) -> RouteState:
-        all_paths = self.lateral.follow(paths.coefficients, route.s, direction, travelled[:, None])
-        point = (field.gather(1, chosen[:, None])[:, 0] for field in all_paths)
+        all_paths = self.lateral.follow(paths.coefficients, route.s, direction, travelled)
+        point = (field.gather(0, chosen[None])[0] for field in all_paths)
         return RouteState(route.s + travelled, speed, accel, *point)
 
 
 def _flatten(field: Tensor) -> Tensor:
     return field.flatten(0, 1)
+
+
+def _stations_around(config: PlannerConfig, vehicle: VehicleConfig) -> Tensor:
+    """[K] m, evenly spread over the distances at which two footprints with their clearances can touch at all."""
+    clearance, limits = config.clearance, config.limits
+    half_length, half_width = vehicle.length_m / 2, vehicle.width_m / 2
+    beside = clearance.beside_m + clearance.beside_s * limits.speed_max_mps
+    reach = math.hypot(half_length, half_width) + math.hypot(half_length + clearance.ahead_m, half_width + beside)
+    n_steps = math.ceil(2 * reach / clearance.conflict_station_m)
+    return torch.linspace(-reach, reach, n_steps + 1)

@@ -43,33 +43,29 @@ class LateralCandidates:
         pairs = [(offset, length) for length in config.lengths_m for offset in config.offsets_m]
         self.n_candidates = len(pairs)
         offsets, lengths = torch.tensor(pairs, device=device).T.contiguous()
-        self.offset: Tensor = offsets  # [C] m
-        self._length = lengths  # [C] m
+        self.offset: Tensor = offsets[:, None]  # [L, 1] m
+        self._length = lengths  # [L] m
         maps = torch.stack([quintic(length) for _, length in pairs]).to(device, torch.float32)
-        self._from_state = maps[:, :, :3].contiguous()  # [C, 6, 3] of offset, slope, bend now
-        self._from_target = maps[:, :, 3] * offsets[:, None]  # [C, 6]
+        self._from_state = maps[:, :, :3].transpose(0, 1).flatten(0, 1).contiguous()  # [6 L, 3]: offset, slope, bend
+        self._from_target = (maps[:, :, 3] * offsets[:, None]).T[..., None].contiguous()  # [6, L, 1]
 
     def start(self, route: RouteState, direction: Tensor) -> tuple[Tensor, ...]:
-        """Coefficients c_0 .. c_5, each [N, C], of the quintics that start at the states `route` (fields [N]).
-
-        direction: [N] float32, +1 or -1
-        """
+        """Coefficients c_0 .. c_5, each [L, N], of the quintics that start at the states `route` (fields [N])."""
         d, slope, bend = self.road.route_offset(route.s, direction)
-        beside = torch.stack([route.d - d, route.d_prime - slope, route.d_pprime - bend], dim=-1)
-        coefficients = torch.einsum("cki,ni->nck", self._from_state, beside) + self._from_target
-        return coefficients.unbind(-1)
+        beside = torch.stack([route.d - d, route.d_prime - slope, route.d_pprime - bend])
+        coefficients = (self._from_state @ beside).reshape(6, self.n_candidates, -1) + self._from_target
+        return coefficients.unbind(0)
 
     def follow(
         self, coefficients: tuple[Tensor, ...], start_s: Tensor, direction: Tensor, travelled: Tensor
     ) -> PathPoint:
-        """Points after `travelled` [N, C, ...] (m, along the road) of the paths that start at `start_s` [N] (m).
+        """Points of the paths after some distance along the road, fields [L, ..., N].
 
-        direction: [N] float32, +1 or -1
+        start_s, direction: [N] m, +-1; travelled: [..., N] m, the same for all paths
         """
-        extra = travelled.dim() - 2
-        columns = tuple(c.reshape(*c.shape, *[1] * extra) for c in coefficients)
-        length = self._length.reshape(-1, *[1] * extra)
+        extra = travelled.dim() - 1
+        columns = tuple(c.reshape(c.shape[0], *[1] * extra, c.shape[1]) for c in coefficients)
+        length = self._length.reshape(-1, *[1] * travelled.dim())
         value, slope, bend = evaluate(columns, torch.minimum(travelled.clamp(min=0), length))
-        start_s, direction = (field.reshape(-1, *[1] * (extra + 1)) for field in (start_s, direction))
         route_d, route_slope, route_bend = self.road.route_offset(start_s + travelled, direction)
         return PathPoint(route_d + value, route_slope + slope, route_bend + bend)

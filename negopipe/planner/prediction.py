@@ -1,27 +1,63 @@
-"""Prediction of the other vehicles: constant velocity along the route that each of them drives."""
+"""Prediction of the other vehicles along the route that each of them drives."""
 
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import torch
+from pydantic import Field
 from torch import Tensor
 
 from negopipe.schema import PositiveFloat, schema
-from negopipe.simulation.road import Road
+from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.state import VehicleState
 
 
 @schema
-class PredictionConfig:
-    """offset_decay_m: distance over which a predicted vehicle returns to its route, to 1/e of its offset."""
+class ConstantVelocityConfig:
+    """Speed along the road stays as perceived.
 
+    offset_decay_m: distance over which a predicted vehicle returns to its route, to 1/e of its offset
+    """
+
+    model: Literal["constant_velocity"]
     offset_decay_m: PositiveFloat
+
+    def travelled(self, now: RouteState, times: Tensor) -> Tensor:
+        """Metres along the road [..., T, N] after `times` [T] (s); `now` fields [..., N]."""
+        return now.s_dot[..., None, :] * times[:, None]
+
+
+@schema
+class ConstantAccelerationConfig:
+    """The perceived acceleration goes on for a while, between standstill and a highest speed.
+
+    offset_decay_m: as for constant velocity
+    hold_s: how long the acceleration is held; the speed reached then is kept
+    speed_max_mps: nobody is predicted to speed up beyond this, unless it is faster already
+    """
+
+    model: Literal["constant_acceleration"]
+    offset_decay_m: PositiveFloat
+    hold_s: PositiveFloat
+    speed_max_mps: PositiveFloat
+
+    def travelled(self, now: RouteState, times: Tensor) -> Tensor:
+        """Metres along the road [..., T, N] after `times` [T] (s); `now` fields [..., N]."""
+        speed, accel = now.s_dot, now.s_ddot
+        room = torch.where(accel < 0, speed, (self.speed_max_mps - speed).clamp(min=0))  # m/s until the bound
+        lasting = (room / accel.abs().clamp(min=1e-3)).clamp(max=self.hold_s)[..., None, :]
+        t = times[:, None]
+        accelerating = torch.minimum(t, lasting)
+        return speed[..., None, :] * t + accel[..., None, :] * accelerating * (t - accelerating / 2)
+
+
+PredictionConfig = Annotated[ConstantVelocityConfig | ConstantAccelerationConfig, Field(discriminator="model")]
 
 
 class PredictedPath(NamedTuple):
-    """Predicted poses in the viewer's SLT frame; every field [..., T] float32.
+    """Predicted poses in the viewer's route frame; every field [..., T, N] float32.
 
-    s, d: m, route frame of the viewer's driving direction
-    slope: d' of the path; the footprint's heading is atan(slope), up to half a turn
+    s, d: m
+    slope: tangent of the footprint's heading relative to the line, up to half a turn
     """
 
     s: Tensor
@@ -32,23 +68,26 @@ class PredictedPath(NamedTuple):
 def predict(
     config: PredictionConfig, road: Road, other: VehicleState, viewer_direction: Tensor, times: Tensor
 ) -> PredictedPath:
-    """Roll the perceived vehicles `other` [...] out to `times` [T] (s) and project them onto the viewer's frame.
+    """Roll the perceived vehicles `other` [..., N] out to `times` [T] (s), as their viewers see it.
 
-    Speed along the road stays as perceived; the lateral offset from the route decays with the distance driven, so
-    a vehicle that stands stays where it is. The driving direction is read off the perceived heading.
+    The lateral offset from the route decays with the distance driven, so a vehicle that stands stays where it is.
+    The driving direction is read off the perceived heading.
 
-    viewer_direction: [...] float32, +1 or -1
+    viewer_direction: [N] float32, +1 or -1
     """
-    direction = torch.where(torch.cos(other.yaw) < 0, -1.0, 1.0)
+    direction = road.direction_of(other)
     now = road.to_route(other, direction)
-    travelled = now.s_dot[..., None] * times
-    s = now.s[..., None] + travelled
-    route_d, route_slope, _ = road.route_offset(s, direction[..., None])
+    travelled = config.travelled(now, times)
+    s = now.s[..., None, :] + travelled
+    route_d, route_slope, _ = road.route_offset(s, direction[..., None, :])
     route_d_now, route_slope_now, _ = road.route_offset(now.s, direction)
     fading = torch.exp(-travelled / config.offset_decay_m)
-    offset = (now.d - route_d_now)[..., None] * fading
-    slope = route_slope + (now.d_prime - route_slope_now)[..., None] * fading
-    is_same = (direction == viewer_direction)[..., None]
+    offset = (now.d - route_d_now)[..., None, :] * fading
+    slope = route_slope + (now.d_prime - route_slope_now)[..., None, :] * fading
+    if not road.reference.is_straight:
+        kappa, _ = road.curvature(s, direction[..., None, :])
+        slope = slope / (1 - kappa * (route_d + offset))
+    is_same = (direction == viewer_direction)[..., None, :]
     s_seen = torch.where(is_same, s, road.config.corridor_length_m - s)
     d_seen = torch.where(is_same, route_d + offset, -route_d - offset)
     return PredictedPath(s_seen, d_seen, slope)

@@ -1,15 +1,32 @@
-"""What a vehicle knows when it decides: itself, and the others as it perceives them.
+"""What a vehicle knows when it decides: itself, and the others as its sensor sees them.
 
 Nothing else reaches a driver, so no driver can use what its vehicle would not have: the style, desired speed and
 plan of the others are not here.
 """
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, schema
+from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.state import VehicleState, World, map_tensors
+
+
+@schema
+class PerceptionConfig:
+    """What vehicles see of each other; `conf/perception/noisy.yaml` says what each value means."""
+
+    position_std_m: NonNegativeFloat
+    yaw_std_rad: NonNegativeFloat
+    speed_std_mps: NonNegativeFloat
+    dropout_probability: Fraction
+    range_m: PositiveFloat | None
+    delay_s: NonNegativeFloat
+    accel_window_s: PositiveFloat
 
 
 @dataclass(frozen=True)
@@ -19,10 +36,12 @@ class Perception:
     own: VehicleState [E, S]
     direction: [E, S] float32, own driving direction along the road, +1 or -1
     desired_speed: [E, S] float32, m/s
-    style_horizon: [E, S] float32, s, own driving style; NaN where the driver chooses
-    other: VehicleState [E, S, O]
+    style_horizon: [E, S] float32, s, own driving style, the one in force now; NaN where the driver chooses
+    other: VehicleState [E, S, O], as last sighted; acceleration from the speeds seen, curvature 0
+    is_seen: [E, S, O] bool; whoever is not seen has zeros in `other`, which mean nothing
     own_history: [E, K, S, 3] float32, own poses x, y, yaw (m, m, rad; world), index 0 now, one step apart
     other_history: [E, K, S, O, 3] float32, poses of the others
+    is_seen_history: [E, K, S, O] bool; whoever was not seen has zeros in `other_history`
     """
 
     own: VehicleState
@@ -30,8 +49,10 @@ class Perception:
     desired_speed: Tensor
     style_horizon: Tensor
     other: VehicleState
+    is_seen: Tensor
     own_history: Tensor
     other_history: Tensor
+    is_seen_history: Tensor
 
     def of(self, seat: int) -> "Perception":
         """The perception of one seat, S = 1."""
@@ -51,24 +72,140 @@ class Perception:
             desired_speed=pick(self.desired_speed),
             style_horizon=pick(self.style_horizon),
             other=map_tensors(pick, self.other),
+            is_seen=pick(self.is_seen),
             own_history=self.own_history[:, :, seats],
             other_history=self.other_history[:, :, seats],
+            is_seen_history=self.is_seen_history[:, :, seats],
         )
 
 
-def perceive(world: World) -> Perception:
-    """Perfect perception of every vehicle by every other."""
-    n_vehicles = world.task.direction.shape[1]
-    others = other_columns(n_vehicles, world.step.device)
-    return Perception(
-        own=world.vehicles,
-        direction=world.task.direction,
-        desired_speed=world.task.desired_speed,
-        style_horizon=world.task.style_horizon,
-        other=map_tensors(lambda field: field[:, others], world.vehicles),
-        own_history=world.pose_history,
-        other_history=world.pose_history[:, :, others],
-    )
+class Sightings(NamedTuple):
+    """What every vehicle saw of every other in the last J steps, index 0 the latest.
+
+    pose: [E, J, V, O, 3] float32, x, y, yaw (m, m, rad; world)
+    speed: [E, J, V, O] float32, m/s
+    is_seen: [E, J, V, O] bool
+    """
+
+    pose: Tensor
+    speed: Tensor
+    is_seen: Tensor
+
+
+class Sensor:
+    """Every vehicle's view of every other; of itself a vehicle knows the truth.
+
+    A sighting's errors are a function of the task's noise seed, the episode's step in which it was taken, and who
+    saw whom: what was seen k steps ago is the same in every later frame, and no state is hidden here.
+
+    history_steps: how many past poses a perception holds beside the latest
+    memory_steps: how many past states a world must remember for that
+    """
+
+    def __init__(self, config: PerceptionConfig, dt_s: float, history_steps: int) -> None:
+        self.config = config
+        self.history_steps = history_steps
+        self._delay = round(config.delay_s / dt_s)
+        self._window = round(config.accel_window_s / dt_s)
+        self._window_s = self._window * dt_s
+        self._n_sightings = 1 + max(history_steps, self._window)
+        self.memory_steps = self._delay + self._n_sightings - 1
+        stds = (config.position_std_m, config.yaw_std_rad, config.speed_std_mps)
+        self._is_noisy = any(std > 0 for std in stds)
+        self._sees_all = config.dropout_probability == 0 and config.range_m is None
+
+    def perceive(self, world: World) -> Perception:
+        """What every vehicle knows now, S = V."""
+        task = world.task
+        seen = self._look(world)
+        accel = (seen.speed[:, 0] - seen.speed[:, self._window]) / self._window_s
+        if not self._sees_all:
+            accel = torch.where(seen.is_seen[:, 0] & seen.is_seen[:, self._window], accel, 0.0)
+        pose = seen.pose[:, 0]
+        n_frames = 1 + self.history_steps
+        return Perception(
+            own=world.vehicles,
+            direction=task.direction,
+            desired_speed=task.desired_speed,
+            style_horizon=torch.where(world.has_switched, task.next_style_horizon, task.style_horizon),
+            other=VehicleState(pose[..., :2], pose[..., 2], seen.speed[:, 0], accel, torch.zeros_like(accel)),
+            is_seen=seen.is_seen[:, 0],
+            own_history=world.pose_history[:, :n_frames],
+            other_history=seen.pose[:, :n_frames],
+            is_seen_history=seen.is_seen[:, :n_frames],
+        )
+
+    def _look(self, world: World) -> Sightings:
+        """All sightings that count now: the true states `delay_s` late, with errors."""
+        steps = slice(self._delay, self._delay + self._n_sightings)
+        pose, speed = world.pose_history[:, steps], world.speed_history[:, steps]
+        others = other_columns(speed.shape[-1], speed.device)
+        seen = Sightings(pose[:, :, others], speed[:, :, others], torch.ones_like(others, dtype=torch.bool))
+        if self._sees_all and not self._is_noisy:
+            return seen._replace(is_seen=seen.is_seen.expand_as(seen.speed))
+        key = self._keys(world, others)
+        is_seen = self._is_seen(key, pose, seen)
+        if self._is_noisy:
+            seen = self._with_errors(key, seen)
+        return Sightings(
+            torch.where(is_seen[..., None], seen.pose, 0.0), torch.where(is_seen, seen.speed, 0.0), is_seen
+        )
+
+    def _keys(self, world: World, others: Tensor) -> Tensor:
+        """[E, J, V, O] int64: a number for each sighting, the same whenever it is looked back at."""
+        ago = torch.arange(self._n_sightings, device=others.device) + self._delay
+        taken = (world.step[:, None] - ago).clamp(min=0)  # before the start the first state is repeated
+        viewer = torch.arange(len(others), device=others.device)[:, None]
+        key = _mix(_mix(world.task.noise_seed)[:, None] + taken)
+        return _mix(_mix(key[..., None, None] + viewer) + others)
+
+    def _is_seen(self, key: Tensor, pose: Tensor, seen: Sightings) -> Tensor:
+        """[E, J, V, O] bool: within range of the viewer's true place `pose` [E, J, V, 3], and not dropped."""
+        config = self.config
+        is_seen = _uniform(key, channel=4) >= config.dropout_probability
+        if config.range_m is not None:
+            away = seen.pose[..., :2] - pose[..., None, :2]
+            is_seen = is_seen & (away.square().sum(-1) <= config.range_m**2)
+        return is_seen
+
+    def _with_errors(self, key: Tensor, seen: Sightings) -> Sightings:
+        config = self.config
+        x, y = _normals(key, channel=0)
+        yaw, speed = _normals(key, channel=2)
+        true_x, true_y, true_yaw = seen.pose.unbind(-1)
+        pose = torch.stack(
+            [
+                true_x + config.position_std_m * x,
+                true_y + config.position_std_m * y,
+                wrap_angle(true_yaw + config.yaw_std_rad * yaw),
+            ],
+            dim=-1,
+        )
+        return seen._replace(pose=pose, speed=(seen.speed + config.speed_std_mps * speed).clamp(min=0))
+
+
+def _mix(number: Tensor) -> Tensor:
+    """A hash of int64 numbers >= 0 into [0, 2^32): neighbours come out unlike; one to one below 2^32.
+
+    Two rounds of xor-shift and multiply. Factors are below 2^31, so that no product exceeds 63 bits.
+    """
+    low_bits = 0xFFFFFFFF
+    number = (number + 0x1E3779B9) & low_bits
+    for factor in (0x7FEB352D, 0x21F0AAAD):
+        number = ((number ^ (number >> 16)) * factor) & low_bits
+    return number ^ (number >> 15)
+
+
+def _uniform(key: Tensor, channel: int) -> Tensor:
+    """Hashed numbers in (0, 1), float32, with the shape of `key`; channels are independent."""
+    return ((_mix(key + channel) >> 9) + 0.5) * 2.0**-23
+
+
+def _normals(key: Tensor, channel: int) -> tuple[Tensor, Tensor]:
+    """Two independent standard normal numbers per key, of channels `channel` and the next (Box and Muller 1958)."""
+    radius = torch.sqrt(-2 * torch.log(_uniform(key, channel)))
+    angle = 2 * math.pi * _uniform(key, channel + 1)
+    return radius * torch.cos(angle), radius * torch.sin(angle)
 
 
 def other_columns(n_vehicles: int, device: torch.device | str = "cpu") -> Tensor:

@@ -150,6 +150,34 @@ class Road:
         sigma, _ = self.reference.project(*position.unbind(-1))
         return direction * sigma + self.config.corridor_length_m / 2
 
+    def in_tangent_frame(
+        self, at_s: Tensor, direction: Tensor, ahead: Tensor, d: Tensor, d_prime: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Points near s = `at_s` in the frame that is tangent to the line there.
+
+        Two vehicles a few metres apart are compared in a plane, not along a curve. The line is taken as an arc
+        around `at_s`, to second order in the angle between the two places.
+
+        at_s, ahead: m, the frame's place and how far ahead of it the point is along the line
+        d, d_prime: m, 1, of the point and of its path, in the route frame
+        Returns u, v (m, ahead and to the left of the frame's origin on the line) and the tangent of the heading.
+        """
+        if self.reference.is_straight:
+            return ahead, d, d_prime
+        kappa, _ = self.curvature(at_s, direction)
+        angle = (kappa * ahead).clamp(-0.5, 0.5)
+        scale = 1 - kappa * d
+        tan = d_prime / scale
+        return scale * ahead, d + scale * angle * ahead / 2, tan + angle * (1 + tan**2)
+
+    def direction_of(self, vehicles: VehicleState) -> Tensor:
+        """+1 for vehicles [...] that head along the line, -1 for those that head against it, read off the yaw."""
+        heading = vehicles.yaw
+        if not self.reference.is_straight:
+            sigma, _ = self.reference.project(*vehicles.position.unbind(-1))
+            heading = heading - self.reference.heading(sigma)
+        return torch.where(torch.cos(heading) < 0, -1.0, 1.0)
+
     def to_route(self, vehicles: VehicleState, direction: Tensor) -> RouteState:
         """World frame -> route frame of the driving direction [...] (+1 along the line, -1 against it).
 

@@ -22,6 +22,9 @@ from torch import Tensor
 EGO = 0
 """Column of the ego on every vehicle axis."""
 
+AT_REST_MPS = 0.1
+"""A vehicle that is slower than this is at rest (Reading: suspend number)."""
+
 
 @dataclass(frozen=True)
 class VehicleState:
@@ -48,7 +51,11 @@ class Task:
     start_distance: [E, V] float32, m, from the vehicle's centre to the mouth that it meets first
     start_speed, desired_speed: [E, V] float32, m/s
     style_horizon: [E, V] float32, s, prediction horizon of the social vehicles; NaN for the ego, who chooses
+    next_style_horizon: [E, V] float32, s, what a vehicle switches to; NaN where it never does
+    switch_time: [E, V] float32, s, time in the episode at which it switches; inf = never
+    patience: [E, V] float32, s, time at rest without a break after which it switches; inf = never
     direction: [E, V] float32, +1 drives towards growing sigma (+x in the corridor), -1 against it
+    noise_seed: [E] int64, from 0 to 2^31 - 1, of the errors with which vehicles perceive each other
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
     """
 
@@ -56,7 +63,11 @@ class Task:
     start_speed: Tensor
     desired_speed: Tensor
     style_horizon: Tensor
+    next_style_horizon: Tensor
+    switch_time: Tensor
+    patience: Tensor
     direction: Tensor
+    noise_seed: Tensor
     family: Tensor
 
     def __len__(self) -> int:
@@ -72,8 +83,13 @@ class World:
     step: [E] int64, decisions taken in this episode
     has_reached: [E, V] bool, the vehicle has passed its target in this episode
     has_collided: [E, V] bool, the vehicle touched another vehicle, a parked car or the kerb
+    rest_steps: [E, V] int64, control steps for which the vehicle has been at rest without a break until now; those
+        within the episode's first second do not count
+    has_switched: [E, V] bool, the vehicle drives in its task's next style from now on
     pose_history: [E, K, V, 3] float32, x (m), y (m), yaw (rad) in the world frame; index 0 is now, index k is
         k steps ago. Before the episode's start the first state is repeated.
+    speed_history: [E, K, V] float32, m/s, of the same states
+    command_queue: [E, D, V, 2] float32, commands on their way to the actuators (`dynamics.Dynamics.move`)
     """
 
     vehicles: VehicleState
@@ -81,14 +97,18 @@ class World:
     step: Tensor
     has_reached: Tensor
     has_collided: Tensor
+    rest_steps: Tensor
+    has_switched: Tensor
     pose_history: Tensor
+    speed_history: Tensor
+    command_queue: Tensor
 
 
 @dataclass(frozen=True)
 class Motion:
     """What a driver makes its vehicle do until the next decision; E worlds, S seats.
 
-    state: VehicleState [E, S], one control step later
+    state: VehicleState [E, S], wanted one control step later
     horizon: [E, S] float32, s, prediction horizon that was used; NaN for a driver that does not use one
     is_full_braking: [E, S] bool, no feasible plan existed
     """
@@ -102,14 +122,24 @@ T = TypeVar("T")
 
 
 def map_tensors(fn: Callable[..., Tensor], *trees: T) -> T:
-    """Apply `fn` to the corresponding tensors of equal (nested) tensor dataclasses."""
+    """Apply `fn` to the corresponding tensors of equal trees: tensors, tuples and (nested) tensor dataclasses."""
     first = trees[0]
-    values: dict[str, Any] = {}
-    for field in fields(first):  # type: ignore[arg-type]
-        children = [getattr(tree, field.name) for tree in trees]
-        is_leaf = isinstance(children[0], Tensor)
-        values[field.name] = fn(*children) if is_leaf else map_tensors(fn, *children)
+    if isinstance(first, Tensor):
+        return fn(*trees)  # type: ignore[return-value]
+    if isinstance(first, tuple):
+        return tuple(map_tensors(fn, *branch) for branch in zip(*trees, strict=True))  # type: ignore[return-value, call-overload]
+    values = {
+        field.name: map_tensors(fn, *(getattr(tree, field.name) for tree in trees))
+        for field in fields(first)  # type: ignore[arg-type]
+    }
     return type(first)(**values)
+
+
+def first_tensor(tree: Any) -> Tensor:
+    """Any tensor of a tree, to read off what all have in common: the number of worlds, the device."""
+    if isinstance(tree, Tensor):
+        return tree
+    return first_tensor(tree[0] if isinstance(tree, tuple) else getattr(tree, fields(tree)[0].name))
 
 
 def where_world(mask: Tensor, chosen: T, other: T) -> T:

@@ -29,7 +29,7 @@ log = logging.getLogger("negopipe")
 def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Drive all pairs in all settings; writes behaviour_map.csv, figures/behaviour_map.* and claim 8's verdicts."""
     is_compiled = wants_compile(config.compile)
-    game = build_game(config.scenario, config.planner, config.observation, device_of(config), is_compiled)
+    game = build_game(config, device_of(config), is_compiled)
     table = drive_map(config, game)
     table.to_csv(run.folder / "behaviour_map.csv", index=False)
     run.log_artifact(run.folder / "behaviour_map.csv")
@@ -61,7 +61,7 @@ def map_tasks(config: "RunConfig", game: Game, setting: str, style_s: float) -> 
     """The setting's held-out tasks, all social drivers in one style; the starts are the same for every style."""
     stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
     family = config.scenario.families[setting]
-    in_one_style = FamilyConfig(family.weight, family.start_distance_m, [style_s])
+    in_one_style = FamilyConfig(family.weight, family.start_distance_m, [style_s], style_switch=None)
     return TaskSampler(config.scenario, {setting: in_one_style}, stream).draw(config.behaviour_map.n_episodes)
 
 

@@ -36,7 +36,6 @@ from negopipe.evaluation.speed import (
 from negopipe.evaluation.workload import decision_workload
 from negopipe.policy.actor_critic import grid_actor_critic
 from negopipe.seeding import generator
-from negopipe.simulation.perception import perceive
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO
 from negopipe.stages.progress import ProgressLine
@@ -126,7 +125,7 @@ def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figure
     before_mb = peak_memory_mb(_device(backend))
     benchmark, device = config.benchmark, _device(backend)
     is_compiled = backend in ("compiled", "cuda")
-    game = build_game(config.scenario, config.planner, config.observation, device, is_compiled)
+    game = build_game(config, device, is_compiled)
     env = _start(config, game, n_worlds, device)
     actions = generator(config.seed, "benchmark actions", device)
 
@@ -135,7 +134,7 @@ def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figure
 
     first_s = block_seconds(step, 1, device)
     step_s = seconds_per_call(step, benchmark, device)
-    perception = perceive(env.world)
+    perception = game.perceive(env.world)
     horizon = torch.full_like(perception.direction, config.planner.horizon_s)
     plan_s = seconds_per_call(lambda: game.plan(perception, horizon), benchmark, device)
     draw_s = seconds_per_call(lambda: game.draw(perception.of(EGO)), benchmark, device)
@@ -154,7 +153,7 @@ def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figure
 
 def limits(config: "RunConfig", devices: list[str], figures: Figures) -> Figures:
     """What a decision needs at least, and how many the machine could take with its two rates."""
-    game = build_game(config.scenario, config.planner, config.observation)
+    game = build_game(config)
     work = decision_workload(game, config.scenario)
     limit = {"limit.flops_per_decision": work.flops, "limit.bytes_per_decision": work.bytes}
     for device in devices:
@@ -180,7 +179,7 @@ def comparisons(config: "RunConfig", cells: list[tuple[Backend, int]], figures: 
 def _start(config: "RunConfig", game: Game, n_worlds: int, device: torch.device) -> NegotiationEnv:
     """Worlds of all ages, so that from the first step on as many episodes end as ever after."""
     tasks = generator(config.seed, "benchmark tasks", device)
-    sampler = TaskSampler(config.scenario, config.scenario.families, tasks)
+    sampler = TaskSampler(config.scenario, config.evaluated_families, tasks)
     env = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
     age = torch.randint(config.scenario.episode_steps, (n_worlds,), generator=tasks, device=device)
     env.world = replace(env.world, step=age)
@@ -192,7 +191,7 @@ def _decide(config: "RunConfig", env: NegotiationEnv, device: torch.device) -> C
     weights = generator(config.seed, "initial weights")
     policy = grid_actor_critic(config.policy, env.game.observation_shape, device, weights)
     driver = HorizonDriver(adaptive_planner(policy, env.game, config.policy.horizons_s, None), env.game.plan)
-    return lambda: driver.drive(perceive(env.world).of(EGO))
+    return lambda: driver.drive(env.game.perceive(env.world).of(EGO))
 
 
 def _device(backend: Backend) -> torch.device:

@@ -30,7 +30,7 @@ def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
     """The game and a freshly initialised policy."""
     device = device_of(config)
     is_compiled = wants_compile(config.compile)
-    game = build_game(config.scenario, config.planner, config.observation, device, is_compiled)
+    game = build_game(config, device, is_compiled)
     policy = grid_actor_critic(config.policy, game.observation_shape, device, generator(config.seed, "initial weights"))
     how = "compiled (the first step takes up to a minute)" if is_compiled else "not compiled"
     log.info(

@@ -31,7 +31,7 @@ class Counter:
         self.steps = torch.where(is_terminated | is_truncated, 0.0, reached)
         return Transition(
             observation=self.steps[:, None],
-            final_observation=reached[:, None],
+            final_observation=reached[is_terminated | is_truncated][:, None],
             reward=torch.tensor([1.0, 2.0]),
             is_terminated=is_terminated,
             is_truncated=is_truncated,

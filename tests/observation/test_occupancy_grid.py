@@ -10,14 +10,13 @@ from games import draw_tasks
 from negopipe.config import RunConfig
 from negopipe.env import Game
 from negopipe.observation.occupancy_grid import OccupancyGrid, frame_stride
-from negopipe.simulation.perception import perceive
 from negopipe.simulation.state import EGO, World
 
 
 def some_worlds(config: RunConfig, game: Game, n_steps: int) -> World:
     world = game.simulator.reset(draw_tasks(config, 3))
     for _ in range(n_steps):
-        motion = game.plan(perceive(world), torch.tensor([[2.0, 6.0]]).expand(3, 2))
+        motion = game.plan(game.perceive(world), torch.tensor([[2.0, 6.0]]).expand(3, 2))
         world, _ = game.simulator.step(world, motion.state)
     return world
 
@@ -39,7 +38,7 @@ def is_occupied(game: Game, world: World, e: int, steps_ago: int, x: float, y: f
 @pytest.mark.parametrize("n_steps", [0, 30])
 def test_agrees_with_a_plain_loop(config: RunConfig, game: Game, n_steps: int) -> None:
     world = some_worlds(config, game, n_steps)
-    grids = game.draw(perceive(world).of(EGO))
+    grids = game.draw(game.perceive(world).of(EGO))
     o, stride = config.observation, frame_stride(config.observation, config.scenario.dt_s)
     n_wrong = n_cells = 0
     for e in range(2):
@@ -58,14 +57,14 @@ def test_agrees_with_a_plain_loop(config: RunConfig, game: Game, n_steps: int) -
 
 
 def test_shape_and_values(config: RunConfig, game: Game) -> None:
-    grids = game.draw(perceive(some_worlds(config, game, 5)).of(EGO))
+    grids = game.draw(game.perceive(some_worlds(config, game, 5)).of(EGO))
     assert grids.shape == (3, 4, 84, 84)
     assert grids.dtype == torch.uint8
     assert set(grids.unique().tolist()) == {0, 1}
 
 
 def test_before_the_start_the_first_state_is_repeated(config: RunConfig, game: Game) -> None:
-    grids = game.draw(perceive(some_worlds(config, game, 0)).of(EGO))
+    grids = game.draw(game.perceive(some_worlds(config, game, 0)).of(EGO))
     assert (grids == grids[:, :1]).all()
 
 
@@ -73,8 +72,8 @@ def test_social_vehicle_is_seen_from_the_start(config: RunConfig, game: Game) ->
     world = some_worlds(config, game, 0)
     far = world.pose_history.clone()
     far[:, :, 1, 0] = 1000.0
-    with_other = game.draw(perceive(world).of(EGO))
-    without = game.draw(perceive(replace(world, pose_history=far)).of(EGO))
+    with_other = game.draw(game.perceive(world).of(EGO))
+    without = game.draw(game.perceive(replace(world, pose_history=far)).of(EGO))
     assert ((with_other != without).sum((-2, -1)) > 20).all()
 
 
@@ -89,9 +88,9 @@ def test_every_vehicle_is_drawn(three_social_config: RunConfig, three_social: Ga
     history = world.pose_history.clone()
     history[:, :, 1:, 0] = torch.tensor([0.0, 8.0, 14.0])
     history[:, :, 1:, 1] = 1.75
-    three = three_social.draw(perceive(replace(world, pose_history=history)).of(EGO))
+    three = three_social.draw(three_social.perceive(replace(world, pose_history=history)).of(EGO))
     history[:, :, 1:, 0] = 1000.0
-    none = three_social.draw(perceive(replace(world, pose_history=history)).of(EGO))
+    none = three_social.draw(three_social.perceive(replace(world, pose_history=history)).of(EGO))
     assert int((three != none)[0, 0].sum()) > 150
 
 
@@ -101,14 +100,16 @@ def test_options_act(config: RunConfig, game: Game, key: str, value: float) -> N
     changed = replace(config.observation, **{key: value})
     scenario = config.scenario
     other = OccupancyGrid(changed, game.simulator.road, scenario.vehicle, scenario.dt_s)
-    assert (other.draw(perceive(world).of(EGO)) != game.draw(perceive(world).of(EGO))).any()
+    assert (other.draw(game.perceive(world).of(EGO)) != game.draw(game.perceive(world).of(EGO))).any()
 
 
 def test_frames_and_interval_act(config: RunConfig, game: Game) -> None:
     world = some_worlds(config, game, 20)
     scenario = config.scenario
     fewer = replace(config.observation, n_frames=2, frame_interval_s=2.0)
-    grids = OccupancyGrid(fewer, game.simulator.road, scenario.vehicle, scenario.dt_s).draw(perceive(world).of(EGO))
-    full = game.draw(perceive(world).of(EGO))
+    grids = OccupancyGrid(fewer, game.simulator.road, scenario.vehicle, scenario.dt_s).draw(
+        game.perceive(world).of(EGO)
+    )
+    full = game.draw(game.perceive(world).of(EGO))
     assert grids.shape[1] == 2
     assert (grids == full[:, ::2]).all()

@@ -5,13 +5,13 @@ from itertools import pairwise
 
 import pytest
 import torch
-from games import draw_tasks
+from games import draw_tasks, place
 
 from negopipe.config import RunConfig
 from negopipe.env import Game
 from negopipe.planner.frenet import FrenetPlanner
 from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
-from negopipe.simulation.perception import Perception, perceive
+from negopipe.simulation.perception import Perception
 from negopipe.simulation.state import EGO, Motion, World, map_tensors
 
 HORIZONS = (0.0, 2.0, 4.0, 6.0)
@@ -20,7 +20,7 @@ HORIZONS = (0.0, 2.0, 4.0, 6.0)
 def drive(game: Game, world: World, horizon: torch.Tensor, n_steps: int) -> list[tuple[World, Motion]]:
     rows = []
     for _ in range(n_steps):
-        motion = game.plan(perceive(world), horizon)
+        motion = game.plan(game.perceive(world), horizon)
         world, _ = game.simulator.step(world, motion.state)
         rows.append((world, motion))
     return rows
@@ -87,7 +87,7 @@ def stand_before(config: RunConfig, game: Game, gap_m: float, speed: float) -> P
     vehicles = world.vehicles
     position = torch.tensor([[[-5.5, 0.0], [-5.5 + 4.5 + gap_m, 0.0]]])
     placed = replace(vehicles, position=position, speed=torch.tensor([[speed, 0.0]]))
-    return perceive(replace(world, vehicles=map_tensors(torch.clone, placed)))
+    return game.perceive(place(world, placed))
 
 
 @pytest.mark.parametrize(("horizon", "stops"), [(0.0, False), (2.0, True), (6.0, True)])
@@ -134,10 +134,10 @@ def test_batch_equals_single_worlds(config: RunConfig, game: Game) -> None:
     world = game.simulator.reset(draw_tasks(config, 16))
     pairs = torch.cartesian_prod(torch.tensor(HORIZONS), torch.tensor(HORIZONS))
     for _ in range(25):
-        together = game.plan(perceive(world), pairs)
+        together = game.plan(game.perceive(world), pairs)
         for i in range(0, 16, 5):
             alone = map_tensors(lambda f, i=i: f[i : i + 1], world)
-            motion = game.plan(perceive(alone), pairs[i : i + 1])
+            motion = game.plan(game.perceive(alone), pairs[i : i + 1])
             row = map_tensors(lambda f, i=i: f[i : i + 1], together)
             map_tensors(lambda a, b: torch.testing.assert_close(a, b, atol=1e-4, rtol=1e-4) or a, motion, row)
         world, _ = game.simulator.step(world, together.state)
@@ -168,8 +168,8 @@ def test_options_act(config: RunConfig, game: Game, change: str) -> None:
     horizon = torch.tensor([[6.0, 2.0]]).expand(8, 2)
     differs = False
     for _ in range(40):
-        motion = game.plan(perceive(world), horizon)
-        again = other.plan(perceive(world), horizon)
+        motion = game.plan(game.perceive(world), horizon)
+        again = other.plan(game.perceive(world), horizon)
         differs = differs or not torch.equal(motion.state.position, again.state.position)
         world, _ = game.simulator.step(world, motion.state)
     assert differs

@@ -14,11 +14,12 @@ from negopipe.simulation.state import VehicleState
 def roll_out(
     config: RunConfig, game: Game, x: float, y: float, yaw: float, speed: float, viewer: float
 ) -> PredictedPath:
-    scalar = torch.tensor([yaw, speed, 0.0, 0.0])
-    vehicle = VehicleState(torch.tensor([x, y]), *scalar)
+    yaw_, speed_, zero = (torch.tensor([value]) for value in (yaw, speed, 0.0))
+    vehicle = VehicleState(torch.tensor([[x, y]]), yaw_, speed_, zero, zero)
     times = torch.tensor([1.0, 2.0, 4.0])
     road = game.simulator.road
-    return predict(config.planner.prediction, road, vehicle, torch.tensor(viewer), times)
+    path = predict(config.planner.prediction, road, vehicle, torch.tensor([viewer]), times)
+    return PredictedPath(*(field[:, 0] for field in path))
 
 
 def test_oncoming_vehicle_drives_towards_the_viewer(config: RunConfig, game: Game) -> None:

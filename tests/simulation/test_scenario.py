@@ -9,12 +9,16 @@ from games import MIXTURE, draw_tasks
 from negopipe.config import RunConfig
 from negopipe.errors import UserError
 from negopipe.seeding import generator
-from negopipe.simulation.scenario import TaskSampler, pair_styles
-from negopipe.simulation.state import EGO
+from negopipe.simulation.scenario import Families, StyleSwitchConfig, TaskSampler, pair_styles
+from negopipe.simulation.state import EGO, Task
+
+
+def draw(config: RunConfig, families: Families, n: int) -> Task:
+    return TaskSampler(config.scenario, families, torch.Generator().manual_seed(0)).draw(n)
 
 
 def test_families_have_their_distances_and_styles(config: RunConfig) -> None:
-    sampler = TaskSampler(config.scenario, config.scenario.families, torch.Generator().manual_seed(0))
+    sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator().manual_seed(0))
     task = sampler.draw(2000)
     for index, family in enumerate(sampler.families.values()):
         is_family = task.family == index
@@ -44,6 +48,53 @@ def test_literal_pairing_swaps_the_styles(config: RunConfig) -> None:
     assert swapped["push"].start_distance_m == families["push"].start_distance_m
     assert pair_styles(families, "ego_behaviour") == families
     assert pair_styles(MIXTURE, "literal") == MIXTURE
+
+
+def test_literal_pairing_swaps_the_switches_too(config: RunConfig) -> None:
+    switch = StyleSwitchConfig([6.0], (1.0, 2.0), None)
+    families = dict(config.scenario.families)
+    families["push"] = replace(families["push"], style_switch=switch)
+    swapped = pair_styles(families, "literal")
+    assert swapped["push"].style_switch is None
+    assert swapped["yield"].style_switch == switch
+
+
+def test_switches_are_drawn_from_their_intervals(config: RunConfig) -> None:
+    families = config.scenario.families
+    task = draw(config, {name: families[name] for name in ("mixture", "mixture_switching")}, 2000)
+    is_fixed = task.family == 0
+    for field in (task.switch_time, task.patience):
+        assert field[is_fixed].isinf().all()
+        assert field[:, EGO].isinf().all()
+    assert task.next_style_horizon[is_fixed].isnan().all()
+    assert task.next_style_horizon[:, EGO].isnan().all()
+    for values, low, high in ((task.switch_time, 2, 8), (task.patience, 2, 6)):
+        drawn = values[~is_fixed, 1]
+        assert low <= float(drawn.min()) < low + 0.1
+        assert high - 0.1 < float(drawn.max()) <= high
+    for style in (0.0, 2.0, 4.0, 6.0):
+        assert 0.2 < float((task.next_style_horizon[~is_fixed, 1] == style).float().mean()) < 0.3
+    together = torch.corrcoef(torch.stack([task.style_horizon, task.next_style_horizon])[:, ~is_fixed, 1])
+    assert abs(float(together[0, 1])) < 0.1
+
+
+def test_a_cause_that_is_null_never_comes(config: RunConfig) -> None:
+    for at_s, stuck_s in (((2.0, 2.0), None), (None, (3.0, 3.0))):
+        family = replace(MIXTURE["mixture"], style_switch=StyleSwitchConfig([4.0], at_s, stuck_s))
+        task = draw(config, {"one": family}, 5)
+        assert (task.switch_time[:, 1] == (2.0 if at_s else torch.inf)).all()
+        assert (task.patience[:, 1] == (3.0 if stuck_s else torch.inf)).all()
+        assert (task.next_style_horizon[:, 1] == 4.0).all()
+
+
+def test_as_many_random_values_whatever_is_drawn(config: RunConfig) -> None:
+    families = config.scenario.families
+    after = []
+    for name in ("yield", "mixture", "mixture_switching"):
+        sampler = TaskSampler(config.scenario, {name: families[name]}, torch.Generator().manual_seed(0))
+        sampler.draw(7)
+        after.append(float(torch.rand(1, generator=sampler.generator)))
+    assert len(set(after)) == 1
 
 
 def test_start_intervals_act(config: RunConfig) -> None:

@@ -9,7 +9,6 @@ from negopipe.config import RunConfig
 from negopipe.env import Game, build_game
 from negopipe.gym_env import compose_config
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
-from negopipe.simulation.perception import perceive
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, VehicleState
@@ -20,7 +19,7 @@ NAMES = sorted(path.stem for path in (CONF / "scenario").glob("*.yaml"))
 @pytest.fixture(scope="module", params=NAMES)
 def built(request: pytest.FixtureRequest) -> tuple[RunConfig, Game]:
     config = compose_config([f"scenario={request.param}"])
-    return config, build_game(config.scenario, config.planner, config.observation)
+    return config, build_game(config)
 
 
 def test_nobody_starts_in_a_collision(built: tuple[RunConfig, Game]) -> None:
@@ -67,7 +66,7 @@ def test_two_vehicles_do_not_fit_into_the_corridor(built: tuple[RunConfig, Game]
 def test_the_own_lane_is_free_in_the_grid(built: tuple[RunConfig, Game]) -> None:
     config, game = built
     world = game.simulator.reset(draw_tasks(config, 2))
-    grid = game.draw(perceive(world).of(EGO))[0, 0].bool()
+    grid = game.draw(game.perceive(world).of(EGO))[0, 0].bool()
     o, size = config.observation, config.scenario.vehicle
     first_ahead = o.n_cells - int((o.behind_m + size.length_m / 2) / o.cell_along_m) - 2
     middle = o.n_cells // 2
@@ -79,7 +78,7 @@ def test_episodes_run(built: tuple[RunConfig, Game]) -> None:
     config, game = built
     world = game.simulator.reset(draw_tasks(config, 4))
     for _ in range(5):
-        motion = game.plan(perceive(world), torch.full((4, 2), 4.0))
+        motion = game.plan(game.perceive(world), torch.full((4, 2), 4.0))
         world, _ = game.simulator.step(world, motion.state)
     assert torch.isfinite(world.vehicles.position).all()
     assert not world.has_collided.any()

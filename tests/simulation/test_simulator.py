@@ -9,8 +9,8 @@ from games import draw_tasks
 
 from negopipe.config import RunConfig
 from negopipe.env import Game
-from negopipe.simulation.perception import other_columns, perceive
-from negopipe.simulation.state import VehicleState, World, map_tensors, where_world
+from negopipe.simulation.perception import other_columns
+from negopipe.simulation.state import VehicleState, World
 
 
 def placed(ego: tuple[float, float, float], social: tuple[float, float, float]) -> VehicleState:
@@ -95,21 +95,54 @@ def test_history_moves_on(game: Game, world: World) -> None:
     torch.testing.assert_close(moved.pose_history[:, 1:], world.pose_history[:, :-1])
 
 
-def test_masked_reset_touches_only_the_masked(config: RunConfig, game: Game) -> None:
-    world = game.simulator.reset(draw_tasks(config, 4, seed=1))
-    fresh = draw_tasks(config, 4, seed=2)
-    mask = torch.tensor([True, False, True, False])
-    mixed = game.simulator.reset_where(mask, world, fresh)
-    expected = where_world(mask, game.simulator.reset(fresh), world)
-    map_tensors(lambda a, b: torch.testing.assert_close(a, b, equal_nan=True) or a, mixed, expected)
-    assert mixed.vehicles.position[1].tolist() == world.vehicles.position[1].tolist()
-    assert mixed.vehicles.position[0].tolist() != world.vehicles.position[0].tolist()
+def switching(world: World, at_s: float, patience_s: float) -> World:
+    """The social vehicle drives in style 2 and switches to style 6."""
+
+    def social(value: float) -> torch.Tensor:
+        return torch.tensor([[torch.nan, value]])
+
+    times = {"switch_time": social(at_s), "patience": social(patience_s)}
+    task = replace(world.task, style_horizon=social(2.0), next_style_horizon=social(6.0), **times)
+    return replace(world, task=task)
+
+
+def styles_of(game: Game, world: World, speeds: list[float]) -> list[float]:
+    """Style of the social vehicle at the start and after each step, driven at `speeds`."""
+    seen = [float(game.perceive(world).style_horizon[0, 1])]
+    for speed in speeds:
+        motion = replace(world.vehicles, speed=torch.tensor([[0.0, speed]]))
+        world, _ = game.simulator.step(world, motion)
+        seen.append(float(game.perceive(world).style_horizon[0, 1]))
+    assert game.perceive(world).style_horizon[0, 0].isnan()
+    assert not world.has_switched[0, 0]
+    return seen
+
+
+def test_style_switches_at_its_time_and_stays(game: Game, world: World) -> None:
+    styles = styles_of(game, switching(world, 1.4, math.inf), [4.0] * 12)
+    assert styles == [2.0] * 7 + [6.0] * 6  # in force from the decision at 1.4 s on
+
+
+@pytest.mark.parametrize(
+    ("speeds", "first"),
+    [
+        ([0.0] * 20, 8),  # rest counts after the first second, so 0.6 s of it are over after 1.6 s
+        ([4.0] * 8 + [0.05] * 6, 11),  # slower than 0.1 m/s is rest
+        ([4.0] * 8 + [0.0, 0.0, 0.2] + [0.0] * 5, 14),  # a break starts the count anew
+        ([4.0] * 8 + [0.15] * 8, None),
+        ([4.0] * 8 + [0.0] * 4 + [4.0] * 4, 11),  # once only, it does not switch back
+    ],
+)
+def test_style_switches_out_of_impatience(game: Game, world: World, speeds: list[float], first: int | None) -> None:
+    styles = styles_of(game, switching(world, math.inf, 0.6), speeds)
+    n_before = len(styles) if first is None else first
+    assert styles == [2.0] * n_before + [6.0] * (len(styles) - n_before)
 
 
 def test_everyone_sees_the_others(three_social_config: RunConfig, three_social: Game) -> None:
     assert other_columns(4).tolist() == [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]
     world = three_social.simulator.reset(draw_tasks(three_social_config, 2))
-    seen = perceive(world)
+    seen = three_social.perceive(world)
     torch.testing.assert_close(seen.other.position[:, 2, 0], world.vehicles.position[:, 0])
     torch.testing.assert_close(seen.other.position[:, 2, 2], world.vehicles.position[:, 3])
     assert seen.of(2).other.position.shape == (2, 1, 3, 2)

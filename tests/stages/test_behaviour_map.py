@@ -136,7 +136,7 @@ def test_rows_agree_with_the_drives(ran: Run) -> None:
     pairs = [(style, horizon) for style in (0.0, 6.0) for horizon in (0.0, 6.0)]
     assert [tuple(key) for key in table[keys].to_numpy()] == [(s, *pair) for s in ("push", "yield") for pair in pairs]
     config = tiny()
-    game = build_game(config.scenario, config.planner, config.observation)
+    game = build_game(config)
     columns = {"timeout": "other_timeout_rate"} | {name: f"{name}_rate" for name in OUTCOMES[:3]}
     for row in table[table["setting"] == "push"].to_dict("records"):
         tasks = behaviour_map.map_tasks(config, game, "push", row["social_style_s"])

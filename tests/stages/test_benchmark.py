@@ -192,6 +192,6 @@ def test_work_grows_with_the_sizes(
     pair = 6 * 36 * 30 * (OVERLAP + 2)  # a vehicle's combinations against one other
     assert 2 * pair < work.flops < 2.5e6
     assert 10 * pair < more.flops - work.flops < 10 * pair + 2 * work.flops  # 4 see 3 each instead of 2 see 1
-    pose_floats = 16 * 3 + 6
-    assert work.bytes == 4 * 84 * 84 + 2 * (2 * (4 * pose_floats + 2) + 16) + 2 * 4 * 5
-    assert more.bytes - work.bytes == 2 * (2 * (4 * pose_floats + 2) + 4 * 5)  # two vehicles more
+    pose_floats = 16 * 4 + 6
+    assert work.bytes == 4 * 84 * 84 + 2 * (2 * (4 * pose_floats + 11) + 24) + 2 * 4 * 8
+    assert more.bytes - work.bytes == 2 * (2 * (4 * pose_floats + 11) + 4 * 8)  # two vehicles more

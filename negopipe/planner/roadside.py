@@ -1,0 +1,100 @@
+"""What stands beside the road: kerbs and parked cars, as a planned footprint meets them."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from negopipe.simulation.road import Road
+from negopipe.simulation.scenario import VehicleConfig
+
+
+class ParkedRow(NamedTuple):
+    """Parked cars without room for a vehicle between them, beside the reference line.
+
+    sigma, half_length: arc length of the middle, m
+    side: +1 to the left of the line, -1 to the right
+    inner: m, from the line to the side that faces the road, positive towards `side`
+    """
+
+    sigma: float
+    half_length: float
+    side: int
+    inner: float
+
+
+class Roadside:
+    """Checks footprints, grown by a clearance, against kerbs and parked cars.
+
+    Nobody fits between a parked car and its kerb, so a footprint is clear of the car if, all along it, its border
+    lies on the road's side of the car's inner side.
+    """
+
+    def __init__(self, road: Road, vehicle: VehicleConfig, clearance_m: float) -> None:
+        self.road = road
+        self.half_length = vehicle.length_m / 2 + clearance_m
+        self.half_width = vehicle.width_m / 2 + clearance_m
+        self.rows = _rows(road, 2 * self.half_width)
+
+    def excess(self, s: Tensor, direction: Tensor, d: Tensor, slope: Tensor) -> Tensor:
+        """[L, S, N] m: how far a footprint reaches over a kerb or into a parked car; positive where it does.
+
+        s: [S, N] m; direction: [N]; d, slope: [L, S, N] m and its derivative by s
+        """
+        excess = self._over_kerb(s, direction, d, slope)
+        for row in self.rows:
+            excess = torch.maximum(excess, self._into_row(row, s, direction, d, slope))
+        return excess
+
+    def _over_kerb(self, s: Tensor, direction: Tensor, d: Tensor, slope: Tensor) -> Tensor:
+        bulge: Tensor | float = 0.0  # how far a curved kerb reaches towards the middle of a straight side
+        if not self.road.reference.is_straight:
+            kappa, _ = self.road.curvature(s, direction)
+            bulge = kappa.abs() * self.half_length**2 / 2
+            slope = slope / (1 - kappa * d)
+        cos = torch.rsqrt(1 + slope**2)
+        reach = self.half_length * slope.abs() * cos + self.half_width * cos
+        return d.abs() + reach + bulge - self.road.config.width_m / 2
+
+    def _into_row(self, row: ParkedRow, s: Tensor, direction: Tensor, d: Tensor, slope: Tensor) -> Tensor:
+        """Seen with the row to the left and the nose turned left (else mirrored, across or along).
+
+        The footprint's corner that reaches farthest is at (corner, height); from there the border falls along the
+        long side to the rear and along the short side to the front.
+        """
+        at = direction * row.sigma + self.road.config.corridor_length_m / 2
+        u, v, slope = self.road.in_tangent_frame(at, direction, s - at, d, slope)
+        side = row.side * direction
+        turned = slope * side
+        steep = turned.abs().clamp(min=1e-4)
+        cos = torch.rsqrt(1 + steep**2)
+        sin = steep * cos
+        ahead = torch.where(turned < 0, u, -u)  # of the row's middle, from the footprint's
+        corner = self.half_length * cos - self.half_width * sin
+        nearest = (corner - ahead).clamp(-row.half_length, row.half_length) + ahead - corner
+        height = self.half_length * sin + self.half_width * cos - torch.maximum(-steep * nearest, nearest / steep)
+        alongside = row.half_length + self.half_length * cos + self.half_width * sin - ahead.abs()
+        return torch.minimum(v * side + height - row.inner, alongside)
+
+
+def _rows(road: Road, room_m: float) -> list[ParkedRow]:
+    """Neighbours with less than `room_m` between them are one row; on a bent road every car is one of its own."""
+    is_straight = road.reference.is_straight
+    rows: list[ParkedRow] = []
+    for sigma, d, length, width in sorted(road.parked_on_line.tolist()):
+        row = ParkedRow(sigma, length / 2, 1 if d > 0 else -1, abs(d) - width / 2)
+        before = next((r for r in reversed(rows) if r.side == row.side), None)
+        if is_straight and before and _between(before, row) < room_m:
+            rows[rows.index(before)] = _joined(before, row)
+        else:
+            rows.append(row)
+    return rows
+
+
+def _between(first: ParkedRow, second: ParkedRow) -> float:
+    return second.sigma - second.half_length - first.sigma - first.half_length
+
+
+def _joined(first: ParkedRow, second: ParkedRow) -> ParkedRow:
+    start, end = first.sigma - first.half_length, second.sigma + second.half_length
+    return ParkedRow((start + end) / 2, (end - start) / 2, first.side, min(first.inner, second.inner))

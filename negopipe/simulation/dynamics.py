@@ -1,0 +1,139 @@
+"""How a vehicle gets from its state to the one its driver wants a control step later: exactly, or as a car does."""
+
+import math
+from typing import Annotated, Literal, Protocol
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
+from negopipe.simulation.geometry import wrap_angle
+from negopipe.simulation.state import VehicleState
+
+SteerDegrees = Annotated[float, Field(gt=0, lt=90)]
+
+
+@schema
+class PerfectConfig:
+    """The vehicle is where the plan says."""
+
+    model: Literal["perfect"]
+
+
+@schema
+class BicycleConfig:
+    """A car that follows the plan; `conf/dynamics/bicycle.yaml` says what each value means."""
+
+    model: Literal["bicycle"]
+    wheelbase_m: PositiveFloat
+    steer_max_deg: SteerDegrees
+    steer_rate_max_degps: PositiveFloat
+    accel_time_constant_s: PositiveFloat
+    steer_time_constant_s: PositiveFloat
+    actuation_delay_s: NonNegativeFloat
+    n_substeps: PositiveInt
+    heading_gain_1pm: NonNegativeFloat
+    lateral_gain_1pm2: NonNegativeFloat
+
+
+DynamicsConfig = Annotated[PerfectConfig | BicycleConfig, Field(discriminator="model")]
+
+
+class Dynamics(Protocol):
+    """Moves vehicles for one control step.
+
+    delay_steps: control steps D from a command to the actuators
+    """
+
+    delay_steps: int
+
+    def move(self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor) -> tuple[VehicleState, Tensor]:
+        """`vehicles` [E, V] one control step later, and the commands [E, D, V, 2] that are on their way then.
+
+        wanted: VehicleState [E, V], what the drivers want them to be then
+        queue: [E, D, V, 2] float32, on their way now, the oldest first: acceleration (m/s2), steering angle (rad)
+        """
+        ...
+
+
+def build_dynamics(config: PerfectConfig | BicycleConfig, dt_s: float) -> Dynamics:
+    """The dynamics that `config` is for, with control steps of `dt_s`."""
+    return Bicycle(config, dt_s) if isinstance(config, BicycleConfig) else Perfect()
+
+
+class Perfect:
+    """Every vehicle is where its driver wants it."""
+
+    delay_steps = 0
+
+    def move(self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor) -> tuple[VehicleState, Tensor]:
+        return wanted, queue
+
+
+class Bicycle:
+    """A kinematic bicycle whose reference point is the footprint's centre and moves along its heading.
+
+    That is the planner's view too (no slip: the heading is the path's), and with it the steering angle is
+    atan(wheelbase * curvature): a `VehicleState` holds all of a vehicle's state, its actuators' included. The true
+    centre of a car runs a little outside of its heading in a bend (with rear-axle steering geometry by
+    asin(curvature * wheelbase / 2)); that slip is left out, as in Waymax's bicycle model (Gulino 2023).
+    """
+
+    def __init__(self, config: BicycleConfig, dt_s: float) -> None:
+        self.config, self.dt_s = config, dt_s
+        self.delay_steps = round(config.actuation_delay_s / dt_s)
+        self._substep_s = dt_s / config.n_substeps
+        self._accel_share = 1 - math.exp(-self._substep_s / config.accel_time_constant_s)
+        self._steer_share = 1 - math.exp(-self._substep_s / config.steer_time_constant_s)
+        self._steer_max = math.radians(config.steer_max_deg)
+        self._steer_change_max = math.radians(config.steer_rate_max_degps) * self._substep_s
+
+    def move(self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor) -> tuple[VehicleState, Tensor]:
+        """See `Dynamics.move`."""
+        queue = torch.cat([queue, self.command(vehicles, wanted)[:, None]], dim=1)
+        return self.actuate(vehicles, queue[:, 0]), queue[:, 1:]
+
+    def command(self, vehicles: VehicleState, wanted: VehicleState) -> Tensor:
+        """[E, V, 2] float32: acceleration (m/s2) and steering angle (rad) that lead to the state wanted.
+
+        The mean acceleration to the speed wanted; the curvature wanted, corrected by how far off the pose wanted
+        a vehicle would come with it.
+        """
+        accel = (wanted.speed - vehicles.speed) / self.dt_s
+        travelled = (vehicles.speed + wanted.speed) / 2 * self.dt_s
+        position, yaw = _along_arc(vehicles.position, vehicles.yaw, wanted.curvature, travelled)
+        off = wanted.position - position
+        left = off[..., 1] * torch.cos(yaw) - off[..., 0] * torch.sin(yaw)
+        gains = self.config
+        curvature = wanted.curvature + gains.lateral_gain_1pm2 * left
+        curvature = curvature + gains.heading_gain_1pm * wrap_angle(wanted.yaw - yaw)
+        return torch.stack([accel, torch.atan(gains.wheelbase_m * curvature)], dim=-1)
+
+    def actuate(self, vehicles: VehicleState, command: Tensor) -> VehicleState:
+        """`vehicles` after one control step in which the actuators approach `command` [E, V, 2]."""
+        wanted_accel = command[..., 0]
+        wanted_steer = command[..., 1].clamp(-self._steer_max, self._steer_max)
+        position, yaw, speed, accel = vehicles.position, vehicles.yaw, vehicles.speed, vehicles.accel
+        steer, h = torch.atan(self.config.wheelbase_m * vehicles.curvature), self._substep_s
+        curvature = vehicles.curvature
+        for _ in range(self.config.n_substeps):
+            accel = accel + self._accel_share * (wanted_accel - accel)
+            change = self._steer_share * (wanted_steer - steer)
+            steer = steer + change.clamp(-self._steer_change_max, self._steer_change_max)
+            curvature = torch.tan(steer) / self.config.wheelbase_m
+            moving_s = torch.where(accel < 0, (speed / accel.abs().clamp(min=1e-6)).clamp(max=h), h)
+            travelled = speed * moving_s + accel * moving_s**2 / 2
+            position, yaw = _along_arc(position, yaw, curvature, travelled)
+            speed = torch.where(moving_s < h, 0.0, (speed + accel * h).clamp(min=0))
+            accel = torch.where((speed == 0) & (accel < 0), 0.0, accel)  # brakes hold, they do not push back
+        return VehicleState(position, yaw, speed, accel, curvature)
+
+
+def _along_arc(position: Tensor, yaw: Tensor, curvature: Tensor, travelled: Tensor) -> tuple[Tensor, Tensor]:
+    """Position [..., 2] (m) and yaw [...] (rad) after `travelled` [...] (m) on a circle of `curvature` (1/m)."""
+    turn = curvature * travelled
+    chord = travelled * torch.sinc(turn / (2 * math.pi))
+    middle = yaw + turn / 2
+    step = torch.stack([chord * torch.cos(middle), chord * torch.sin(middle)], dim=-1)
+    return position + step, wrap_angle(yaw + turn)
