@@ -55,6 +55,8 @@ class Game:
     perceive: World -> Perception of all vehicles
     step: World, VehicleState [E, V] -> World, Events
     draw: Perception of one seat -> [E, F, H, W] uint8 grids
+    drive: World, horizon [E, V] (s) -> World, Events: perceive, plan and step as one, for all vehicles
+    see: World -> [E, F, H, W] uint8 grids of the ego: perceive and draw as one
     observation_shape: (F, H, W)
     """
 
@@ -64,6 +66,8 @@ class Game:
     perceive: Callable[[World], Perception]
     step: Callable[[World, VehicleState], tuple[World, Events]]
     draw: Callable[[Perception], Tensor]
+    drive: Callable[[World, Tensor], tuple[World, Events]]
+    see: Callable[[World], Tensor]
     observation_shape: tuple[int, int, int]
 
 
@@ -76,6 +80,12 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)
     size = CHUNKS[torch.device(device).type]
 
+    def drive(world: World, horizon: Tensor) -> tuple[World, Events]:
+        return simulator.step(world, frenet.plan(sensor.perceive(world), horizon).state)
+
+    def see(world: World) -> Tensor:
+        return grid.draw(sensor.perceive(world).of(EGO))
+
     def accelerate(fn: Callable) -> Callable:
         return InChunks(torch.compile(fn, dynamic=False) if is_compiled else fn, size, is_filled=is_compiled)
 
@@ -86,6 +96,8 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         perceive=sensor.perceive,
         step=accelerate(simulator.step),
         draw=accelerate(grid.draw),
+        drive=accelerate(drive),
+        see=accelerate(see),
         observation_shape=grid.shape,
     )
 
@@ -121,7 +133,7 @@ class NegotiationEnv:
     def restart(self) -> None:
         """Start a new task in every world."""
         self.world = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
-        self._observation = self.game.draw(self.game.perceive(self.world).of(EGO))
+        self._observation = self.game.see(self.world)
 
     def observe(self) -> Tensor:
         """[E, F, H, W] uint8, 0 or 1: the grids that the ego sees now."""
@@ -130,12 +142,10 @@ class NegotiationEnv:
     def step(self, action: Tensor) -> Transition:
         """Drive every vehicle for one control step; `action` [E] int64 is the ego's."""
         world = self.world
-        perception = self.game.perceive(world)
-        horizon = perception.style_horizon.clone()
+        horizon = world.style_horizon.clone()
         horizon[:, EGO] = self._horizons[action]
-        motion = self.game.plan(perception, horizon)
-        moved, events = self.game.step(world, motion.state)
-        reached = self.game.draw(self.game.perceive(moved).of(EGO))
+        moved, events = self.game.drive(world, horizon)
+        reached = self.game.see(moved)
         is_done = events.is_terminated | events.is_truncated
         final = self._start_again(moved, reached, is_done.nonzero()[:, 0])
         return Transition(
@@ -158,5 +168,5 @@ class NegotiationEnv:
         if len(which) > 0:
             started = self.game.simulator.reset(self.sampler.draw(len(which)))
             self.world = map_tensors(lambda field, new: field.index_copy(0, which, new), moved, started)
-            reached.index_copy_(0, which, self.game.draw(self.game.perceive(started).of(EGO)))
+            reached.index_copy_(0, which, self.game.see(started))
         return final

@@ -16,6 +16,7 @@ from negopipe.simulation.geometry import Boxes
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import VehicleConfig
+from negopipe.stored import stored
 
 FAR_M = 1000.0
 """Where no grid reaches."""
@@ -110,23 +111,24 @@ class OccupancyGrid:
         """
         config = self.config
         half_width = config.n_cells * config.cell_across_m / 2
-        du = self._ahead - boxes.x[..., None]
-        long_shift, long_half = _slab(boxes.cos, boxes.sin, boxes.half_length)
-        wide_shift, wide_half = _slab(-boxes.sin, boxes.cos, boxes.half_width)
+        long, wide = _slab(boxes.cos, boxes.sin, boxes.half_length), _slab(-boxes.sin, boxes.cos, boxes.half_width)
+        values = (field[..., None] for field in stored(boxes.x, boxes.y, *long, *wide))
+        x, y, long_shift, long_half, wide_shift, wide_half = values
+        du = self._ahead - x
         long_mid, wide_mid = du * long_shift, du * wide_shift
-        left = torch.minimum(long_mid + long_half, wide_mid + wide_half) + boxes.y[..., None]
-        right = torch.maximum(long_mid - long_half, wide_mid - wide_half) + boxes.y[..., None]
+        left = torch.minimum(long_mid + long_half, wide_mid + wide_half) + y
+        right = torch.maximum(long_mid - long_half, wide_mid - wide_half) + y
         first = torch.ceil((half_width - left) / config.cell_across_m - 0.5)
         return first, torch.floor((half_width - right) / config.cell_across_m - 0.5) + 1
 
 
 def _slab(along: Tensor, across: Tensor, half: Tensor | float) -> tuple[Tensor, Tensor]:
-    """{w: |along * u + across * w| <= half} as its middle per u and its half length, each [..., 1].
+    """{w: |along * u + across * w| <= half} as its middle per u and its half length.
 
     Where `across` is nearly 0, that is all w or none.
     """
     across = torch.where(across.abs() < 1e-6, 1e-6, across)
-    return (-along / across)[..., None], (half / across.abs())[..., None]
+    return -along / across, half / across.abs()
 
 
 def _in_body_frame(boxes: Boxes, pose: Tensor) -> Boxes:

@@ -21,6 +21,7 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import Motion, map_tensors
+from negopipe.stored import stored
 
 
 @schema
@@ -127,15 +128,17 @@ class FrenetPlanner:
         own = map_tensors(_flatten, perception.own)
         other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
         direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
-        route = self.road.to_route(own, direction)
+        *fields, direction, desired_speed = stored(*self.road.to_route(own, direction), direction, desired_speed)
+        route = RouteState(*fields)
         samples = self.longitudinal.sample(route, desired_speed)
         paths = self._paths(route, direction, desired_speed)
         is_feasible = self._is_drivable(samples, paths, route)
         is_feasible = is_feasible & (samples.travelled[:, -1] <= paths.free_distance[:, None])
         predicted = predict(self.config.prediction, self.road, other, direction, self.times)
-        first, last = self._blocked(route, direction, paths, predicted, other.speed)
-        is_seen = _flatten(perception.is_seen).transpose(0, 1)
-        is_feasible = is_feasible & ~self._conflicts(samples, first, last, horizon.flatten(), is_seen)
+        is_predicted = self.times[:, None] <= horizon.flatten() + self.dt_s / 2  # [T, N]
+        counts = is_predicted & _flatten(perception.is_seen).transpose(0, 1)[:, None]  # [O, T, N]
+        first, last = self._blocked(route, direction, paths, predicted, other.speed, counts)
+        is_feasible = is_feasible & ~_conflicts(samples.travelled, first, last)
         cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
         cost, best = torch.where(is_feasible, cost, torch.inf).flatten(0, 1).min(dim=0)
         is_full_braking = torch.isinf(cost)
@@ -197,18 +200,26 @@ class FrenetPlanner:
         return weights.jerk * samples.jerk.square().mean(1) + weights.speed * lag.square().mean(1)
 
     def _blocked(
-        self, route: RouteState, direction: Tensor, paths: Paths, predicted: PredictedPath, speed: Tensor
+        self,
+        route: RouteState,
+        direction: Tensor,
+        paths: Paths,
+        predicted: PredictedPath,
+        speed: Tensor,
+        counts: Tensor,
     ) -> tuple[Tensor, Tensor]:
-        """First and last distance travelled [O, L, T, N] (m) at which a predicted vehicle is in the way.
+        """First and last distance travelled [L, O, T, N] (m) at which a predicted vehicle is in the way.
 
         At K stations around where the other is predicted, the depth of overlap is measured. It changes by about a
         metre per metre at most, so from a free station that lies at depth -x nothing is met for x metres: that
         is where the blocked stretch is taken to begin and to end. Where nothing is in the way, first > last.
+
+        counts: [O, T, N] bool, the other is seen and the time lies within the prediction horizon
         """
         size, clearance = self.vehicle, self.config.clearance
         around = self._around[:, None, None, None]  # [K, O, T, N]
-        base = predicted.s - route.s
-        d, slope, _ = self.lateral.follow(paths.coefficients, route.s, direction, base + around)
+        at = predicted.s - route.s + around
+        d, slope, _ = self.lateral.follow(paths.coefficients, route.s, direction, at)
         u, v, slope = self.road.in_tangent_frame(predicted.s, direction, around, d, slope)  # [L, K, O, T, N]
         cos, other_cos = torch.rsqrt(1 + slope**2), torch.rsqrt(1 + predicted.slope**2)
         own = Boxes(u, v, cos, slope * cos, size.length_m / 2, size.width_m / 2)
@@ -223,26 +234,11 @@ class FrenetPlanner:
         depth = overlap_depth(own, other)
         before, after = depth[:, :-1], depth[:, 1:]
         step = self._around[1] - self._around[0]
-        entered = around[:-1] + torch.minimum((-before).clamp(min=0), step)
-        left = around[1:] - torch.minimum((-after).clamp(min=0), step)
-        first = torch.where(after > 0, entered, torch.inf).amin(1)  # [L, O, T, N]
-        last = torch.where(before > 0, left, -torch.inf).amax(1)
-        return base + first, base + last
-
-    def _conflicts(
-        self, samples: LongitudinalSamples, first: Tensor, last: Tensor, horizon: Tensor, is_seen: Tensor
-    ) -> Tensor:
-        """[L, C, N] bool: the vehicle is within a blocked stretch at some time within its prediction horizon.
-
-        Others that are not seen (`is_seen` [O, N]) do not count.
-        """
-        is_predicted = self.times[:, None] <= horizon + self.dt_s / 2  # [T, N]
-        counts = is_predicted & is_seen[:, None]  # [O, T, N]
-        first = torch.where(counts, first, torch.inf)
-        last = torch.where(counts, last, -torch.inf)
-        travelled = samples.travelled[:, None]  # [C, 1, T, N]
-        within = torch.minimum(travelled - first[:, None], last[:, None] - travelled)  # [L, C, O, T, N]
-        return within.amax((2, 3)) > 0
+        entered = at[:-1] + torch.minimum((-before).clamp(min=0), step)
+        left = at[1:] - torch.minimum((-after).clamp(min=0), step)
+        first = torch.where(counts, torch.where(after > 0, entered, torch.inf), torch.inf).amin(1)
+        last = torch.where(counts, torch.where(before > 0, left, -torch.inf), -torch.inf).amax(1)
+        return first, last
 
     def _follow(
         self, route: RouteState, direction: Tensor, samples: LongitudinalSamples, paths: Paths, best: Tensor
@@ -280,6 +276,13 @@ class FrenetPlanner:
         all_paths = self.lateral.follow(paths.coefficients, route.s, direction, travelled)
         point = (field.gather(0, chosen[None])[0] for field in all_paths)
         return RouteState(route.s + travelled, speed, accel, *point)
+
+
+def _conflicts(travelled: Tensor, first: Tensor, last: Tensor) -> Tensor:
+    """[L, C, N] bool: a vehicle that has `travelled` [C, T, N] (m) is within a blocked stretch at some time."""
+    travelled = travelled[:, None]  # [C, O, T, N]
+    within = torch.minimum(travelled - first[:, None], last[:, None] - travelled)  # [L, C, O, T, N]
+    return within.amax((2, 3)) > 0
 
 
 def _flatten(field: Tensor) -> Tensor:

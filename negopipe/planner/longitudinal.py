@@ -46,48 +46,48 @@ class LongitudinalSamples(NamedTuple):
 
 
 class LongitudinalCandidates:
-    """All candidates are linear in (speed, acceleration, desired speed, stop distances): four matrices hold them.
+    """All candidates are linear in (speed, acceleration, target): what samples them is computed once.
 
-    The vehicles N stand last, so that every operation on candidates runs on vector units.
+    The target is the speed to reach or the distance to stop after. The vehicles N stand last, so that every
+    operation on candidates runs on vector units.
     """
 
     def __init__(self, config: LongitudinalConfig, times: Tensor) -> None:
         self.config = config
+        device = times.device
+        keep = [(fraction, duration) for duration in config.keep_durations_s for fraction in config.keep_fractions]
         n_stops = len(config.stop_distances_m) + len(config.stop_positions_m)
-        self._n_given = 3 + n_stops
-        maps = [(duration, self._keep(fraction, duration)) for duration in config.keep_durations_s
-                for fraction in config.keep_fractions]  # fmt: skip
-        maps += [(duration, self._stop(stop, duration)) for duration in config.stop_durations_s
-                 for stop in range(n_stops)]  # fmt: skip
+        maps = [(duration, _keep(duration)) for _, duration in keep]
+        maps += [(duration, _stop(duration)) for duration in config.stop_durations_s for _ in range(n_stops)]
         self.n_candidates = len(maps)
         self._basis = [
             torch.stack([sampling_rows(times, duration, order) @ linear for duration, linear in maps])
-            .flatten(0, 1)
-            .to(times.device, torch.float32)
+            .to(device, torch.float32)[..., None]
+            .unbind(2)
             for order in range(4)
-        ]  # per derivative [C * T, K]
-        self._stop_distances = torch.tensor(config.stop_distances_m, device=times.device)[:, None]
-        self._stop_positions = torch.tensor(config.stop_positions_m, device=times.device)[:, None]
+        ]  # per derivative three of [C, T, 1]
+        self._fractions = torch.tensor([fraction for fraction, _ in keep], device=device)[:, None]
+        self._stop_distances = torch.tensor(config.stop_distances_m, device=device)[:, None]
+        self._stop_positions = torch.tensor(config.stop_positions_m, device=device)[:, None]
 
     def sample(self, route: RouteState, desired_speed: Tensor) -> LongitudinalSamples:
         """Candidates of N vehicles: `route` fields [N], `desired_speed` [N] m/s."""
         accel = torch.maximum(route.s_ddot, -self.config.settle_rate_hz * route.s_dot)
-        start = torch.stack([route.s_dot, accel, desired_speed])
-        distances = self._stop_distances.expand(-1, len(accel))
-        given = torch.cat([start, distances, self._stop_positions - route.s])  # [K, N]
-        shape = (self.n_candidates, -1, len(accel))
-        return LongitudinalSamples(*((basis @ given).reshape(shape) for basis in self._basis))
+        stops = torch.cat([self._stop_distances.expand(-1, len(accel)), self._stop_positions - route.s])
+        n_repeats = len(self.config.stop_durations_s)
+        target = torch.cat([self._fractions * desired_speed, *[stops] * n_repeats])[:, None]  # [C, 1, N]
+        return LongitudinalSamples(*(b0 * route.s_dot + b1 * accel + b2 * target for b0, b1, b2 in self._basis))
 
-    def _keep(self, fraction: float, duration: float) -> Tensor:
-        """[6, K] float64: what is given -> quartic that reaches fraction * desired speed."""
-        boundary = torch.zeros(5, self._n_given, dtype=torch.float64)  # rows p0 v0 a0 v1 a1
-        boundary[1, 0] = boundary[2, 1] = 1
-        boundary[3, 2] = fraction
-        return quartic(duration) @ boundary
 
-    def _stop(self, stop: int, duration: float) -> Tensor:
-        """[6, K] float64: what is given -> quintic that rests after the `stop`-th distance."""
-        boundary = torch.zeros(6, self._n_given, dtype=torch.float64)  # rows p0 v0 a0 p1 v1 a1
-        boundary[1, 0] = boundary[2, 1] = 1
-        boundary[3, 3 + stop] = 1
-        return quintic(duration) @ boundary
+def _keep(duration: float) -> Tensor:
+    """[6, 3] float64: (speed, acceleration, speed to reach) -> quartic."""
+    boundary = torch.zeros(5, 3, dtype=torch.float64)  # rows p0 v0 a0 v1 a1
+    boundary[1, 0] = boundary[2, 1] = boundary[3, 2] = 1
+    return quartic(duration) @ boundary
+
+
+def _stop(duration: float) -> Tensor:
+    """[6, 3] float64: (speed, acceleration, distance to rest after) -> quintic."""
+    boundary = torch.zeros(6, 3, dtype=torch.float64)  # rows p0 v0 a0 p1 v1 a1
+    boundary[1, 0] = boundary[2, 1] = boundary[3, 2] = 1
+    return quintic(duration) @ boundary

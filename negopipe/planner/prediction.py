@@ -9,6 +9,7 @@ from torch import Tensor
 from negopipe.schema import PositiveFloat, schema
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.state import VehicleState
+from negopipe.stored import stored
 
 
 @schema
@@ -76,7 +77,8 @@ def predict(
     viewer_direction: [N] float32, +1 or -1
     """
     direction = road.direction_of(other)
-    now = road.to_route(other, direction)
+    *state, direction = stored(*road.to_route(other, direction), direction)
+    now = RouteState(*state)
     travelled = config.travelled(now, times)
     s = now.s[..., None, :] + travelled
     route_d, route_slope, _ = road.route_offset(s, direction[..., None, :])

@@ -127,7 +127,7 @@ class Sensor:
             own=world.vehicles,
             direction=task.direction,
             desired_speed=task.desired_speed,
-            style_horizon=torch.where(world.has_switched, task.next_style_horizon, task.style_horizon),
+            style_horizon=world.style_horizon,
             other=VehicleState(pose[..., :2], pose[..., 2], seen.speed[:, 0], accel, torch.zeros_like(accel)),
             is_seen=seen.is_seen[:, 0],
             own_history=world.pose_history[:, :n_frames],

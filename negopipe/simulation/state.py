@@ -103,6 +103,11 @@ class World:
     speed_history: Tensor
     command_queue: Tensor
 
+    @property
+    def style_horizon(self) -> Tensor:
+        """[E, V] float32, s: the driving style in force now; NaN for the ego."""
+        return torch.where(self.has_switched, self.task.next_style_horizon, self.task.style_horizon)
+
 
 @dataclass(frozen=True)
 class Motion:
