@@ -250,8 +250,9 @@ class FrenetPlanner:
         is_at_rest = speed < 1e-3
         speed = torch.where(is_at_rest, 0.0, speed)
         accel = torch.where(is_at_rest, 0.0, accel)
+        travelled = torch.where(is_at_rest & (route.s_dot == 0), 0.0, travelled.clamp(min=0))  # nobody creeps
         chosen = best // n_longitudinal
-        return self._on_path(route, direction, paths, chosen, travelled.clamp(min=0), speed, accel)
+        return self._on_path(route, direction, paths, chosen, travelled, speed, accel)
 
     def _brake(self, route: RouteState, direction: Tensor, paths: Paths) -> RouteState:
         """State one step into full braking, on the path that stays free the longest."""
