@@ -73,6 +73,15 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             "seed must be greater than or equal to 0, got -1; device must be one of ",
         ),
         (["seed=${nothing}"], "seed cannot be resolved: Interpolation key 'nothing' not found"),
+        (
+            ["planner.prediction.model=magic"],
+            "planner.prediction.model must be one of constant_velocity, constant_accel",
+        ),
+        (
+            ["planner/prediction=constant_acceleration", "planner.prediction.hold_s=0"],
+            "planner.prediction.hold_s must be ",
+        ),
+        (["+planner.prediction.hold_s=1.0"], "planner.prediction.hold_s is not a known key, allowed: "),
         (["planner.horizon_s=3.0"], "policy.horizons_s must be at most planner.horizon_s = 3.0, got 6.0"),
         (
             ["evaluation.fixed_horizons_s=[8.0]", "report.side_by_side=[]"],

@@ -1,4 +1,4 @@
-"""Constant velocity along the other vehicle's route, seen from the viewer."""
+"""Constant velocity or acceleration along the other vehicle's route, seen from the viewer."""
 
 import math
 
@@ -7,7 +7,9 @@ import torch
 
 from negopipe.config import RunConfig
 from negopipe.env import Game
-from negopipe.planner.prediction import PredictedPath, predict
+from negopipe.gym_env import compose_config
+from negopipe.planner.prediction import ConstantAccelerationConfig, PredictedPath, predict
+from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import VehicleState
 
 
@@ -50,3 +52,34 @@ def test_offset_fades_with_the_distance_driven(config: RunConfig, game: Game) ->
     decay = config.planner.prediction.offset_decay_m
     expected = [-1.75 - 0.5 * math.exp(-5 * t / decay) for t in (1, 2, 4)]
     assert path.d.tolist() == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("speed", "accel", "travelled"),
+    [
+        # at rest after 2 / 4 = 0.5 s and 2^2 / (2 * 4) = 0.5 m
+        (2.0, -4.0, [0.46875, 0.5, 0.5, 0.5]),
+        # 1 s of braking, 5 - 2 / 2 = 4 m, then 3 m/s
+        (5.0, -2.0, [1.734375, 4.0, 7.0, 13.0]),
+        # at 6 m/s after 0.5 s and 2.75 m
+        (5.0, 2.0, [2.015625, 5.75, 11.75, 23.75]),
+        # faster already: not slowed down
+        (7.0, 2.0, [2.625, 7.0, 14.0, 28.0]),
+        # from rest: 1 m in the first second, then 2 m/s
+        (0.0, 2.0, [0.140625, 1.0, 3.0, 7.0]),
+        (0.0, -3.0, [0.0, 0.0, 0.0, 0.0]),
+        (4.0, 0.0, [1.5, 4.0, 8.0, 16.0]),
+    ],
+)
+def test_constant_acceleration_by_hand(speed: float, accel: float, travelled: list[float]) -> None:
+    config = ConstantAccelerationConfig("constant_acceleration", offset_decay_m=5.0, hold_s=1.0, speed_max_mps=6.0)
+    zero = torch.zeros(1)
+    now = RouteState(zero, zero + speed, zero + accel, zero, zero, zero)
+    got = config.travelled(now, torch.tensor([0.375, 1.0, 2.0, 4.0]))
+    assert got[:, 0].tolist() == pytest.approx(travelled, abs=1e-5)
+
+
+def test_the_model_is_a_group_of_its_own() -> None:
+    assert compose_config().planner.prediction.model == "constant_velocity"
+    chosen = compose_config(["planner/prediction=constant_acceleration"]).planner.prediction
+    assert chosen == ConstantAccelerationConfig("constant_acceleration", 5.0, 1.0, 6.0)
