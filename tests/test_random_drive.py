@@ -1,0 +1,83 @@
+"""Random decisions by the million: the world stays sound whatever the ego picks.
+
+NEGOPIPE_RANDOM_DECISIONS sets how many; without it, 1,000,000.
+"""
+
+import os
+
+import pytest
+import torch
+from torch import Tensor
+
+from negopipe.env import NegotiationEnv, build_game, wants_compile
+from negopipe.gym_env import compose_config
+from negopipe.reward import RewardConfig
+from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
+from negopipe.simulation.scenario import TaskSampler
+from negopipe.simulation.simulator import Simulator
+from negopipe.simulation.state import EGO, World
+
+N_DECISIONS = int(os.environ.get("NEGOPIPE_RANDOM_DECISIONS", "1000000"))
+N_WORLDS = min(4096, max(1, N_DECISIONS // 128))
+N_STEPS = -(-N_DECISIONS // N_WORLDS)
+
+
+@pytest.mark.slow
+def test_the_world_stays_sound() -> None:
+    config = compose_config()
+    families = config.scenario.families
+    game = build_game(config, is_compiled=wants_compile("auto"))
+    sampler = TaskSampler(config.scenario, families, torch.Generator().manual_seed(0))
+    env = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, N_WORLDS)
+    actions = torch.Generator().manual_seed(1)
+    limits, dt, n_over, met = config.planner.limits, config.scenario.dt_s, 0, set()
+    for _ in range(N_STEPS):
+        before = env.world
+        reached = env.step(torch.randint(env.n_actions, (N_WORLDS,), generator=actions))
+        now, is_over = env.world, reached.is_terminated | reached.is_truncated
+        n_over += int(is_over.sum())
+        met |= set(now.task.family.unique().tolist())
+        assert is_finite(now)
+        assert (now.vehicles.speed >= 0).all()
+        # whoever goes on has not collided: a world that was recorded as a collision has started again
+        assert not touches(game.simulator, now).any()
+        expected = eq_3(config.reward, reached.is_collision, reached.is_success)
+        assert torch.equal(reached.reward, expected)
+        assert torch.equal(reached.is_terminated, reached.is_collision | reached.is_success)
+        gained = ((now.vehicles.speed - before.vehicles.speed) / dt)[~is_over]
+        # full braking goes on along a path whose metres per metre of road change, and may speed up by as little
+        assert float(now.vehicles.speed.max()) <= limits.speed_max_mps * 1.05
+        assert float(gained.max()) <= limits.accel_max_mps2 + 0.5
+        assert float(gained.min()) >= -limits.full_braking_mps2 - 1.0
+    assert n_over > N_WORLDS // 2
+    assert met == set(range(len(families)))
+
+
+def is_finite(world: World) -> bool:
+    """No NaN or inf but where the task says so: styles of the ego, switches that never come."""
+    vehicles = world.vehicles
+    fields = (vehicles.position, vehicles.yaw, vehicles.speed, vehicles.accel, vehicles.curvature)
+    social = world.style_horizon[:, EGO + 1 :]
+    rest = (world.pose_history, world.speed_history, world.command_queue, social)
+    return all(bool(torch.isfinite(field).all()) for field in (*fields, *rest))
+
+
+def touches(simulator: Simulator, world: World) -> Tensor:
+    """[E] bool: footprints overlap one another, a parked car or the kerb of this straight road."""
+    size, road = simulator.scenario.vehicle, simulator.road
+    x, y = world.vehicles.position.unbind(-1)
+    boxes = boxes_from_pose(x, y, world.vehicles.yaw, size.length_m, size.width_m)
+    half_length, half_width = size.length_m / 2, size.width_m / 2
+    reach = half_length * boxes.sin.abs() + half_width * boxes.cos.abs()
+    is_beyond = (y.abs() + reach > road.config.width_m / 2 + 1e-4).any(-1)
+    ego, social = (
+        boxes_from_pose(x[:, i], y[:, i], world.vehicles.yaw[:, i], 2 * half_length, 2 * half_width) for i in (0, 1)
+    )
+    columns = boxes_from_pose(x[..., None], y[..., None], world.vehicles.yaw[..., None], size.length_m, size.width_m)
+    hits_parked = (overlap_depth(columns, road.parked_boxes()) > 1e-4).flatten(1).any(-1)
+    return is_beyond | hits_parked | (overlap_depth(ego, social) > 1e-4)
+
+
+def eq_3(config: RewardConfig, is_collision: Tensor, is_success: Tensor) -> Tensor:
+    """[E] float32: of every decision a step, and what ended the episode."""
+    return config.step + torch.where(is_collision, config.collision, torch.where(is_success, config.success, 0.0))
