@@ -186,7 +186,7 @@ class FrenetPlanner:
         limits = self.config.limits
         tolerance = 0.05  # m/s: rounding and the last centimetres before standstill; executed speeds are >= 0
         is_ok = samples.speed.amin(1) >= -tolerance
-        is_ok = is_ok & (samples.jerk.abs().amax(1) <= limits.jerk_max_mps3)
+        is_ok = is_ok & (torch.maximum(samples.jerk.abs().amax(1), samples.jerk_now.abs()) <= limits.jerk_max_mps3)
         fastest, stretch = samples.speed.amax(1), paths.stretch[:, None]
         swing = paths.stretching[:, None] * fastest**2
         is_ok = is_ok & (fastest * stretch <= limits.speed_max_mps)

@@ -6,7 +6,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.planner.polynomial import quartic, quintic, sampling_rows
+from negopipe.planner.polynomial import derivative_row, quartic, quintic, sampling_rows
 from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, schema
 from negopipe.simulation.road import RouteState
 
@@ -37,12 +37,14 @@ class LongitudinalSamples(NamedTuple):
 
     travelled: m along the road since now
     speed: m/s; accel: m/s2; jerk: m/s3
+    jerk_now: [C, N] m/s3, at the state planned from, before the first of the times
     """
 
     travelled: Tensor
     speed: Tensor
     accel: Tensor
     jerk: Tensor
+    jerk_now: Tensor
 
 
 class LongitudinalCandidates:
@@ -66,6 +68,8 @@ class LongitudinalCandidates:
             .unbind(2)
             for order in range(4)
         ]  # per derivative three of [C, T, 1]
+        third = torch.stack([derivative_row(0.0, 3) @ linear for _, linear in maps])
+        self._basis_now = third.to(device, torch.float32)[..., None].unbind(1)  # three of [C, 1]
         self._fractions = torch.tensor([fraction for fraction, _ in keep], device=device)[:, None]
         self._stop_distances = torch.tensor(config.stop_distances_m, device=device)[:, None]
         self._stop_positions = torch.tensor(config.stop_positions_m, device=device)[:, None]
@@ -75,8 +79,16 @@ class LongitudinalCandidates:
         accel = torch.maximum(route.s_ddot, -self.config.settle_rate_hz * route.s_dot)
         stops = torch.cat([self._stop_distances.expand(-1, len(accel)), self._stop_positions - route.s])
         n_repeats = len(self.config.stop_durations_s)
-        target = torch.cat([self._fractions * desired_speed, *[stops] * n_repeats])[:, None]  # [C, 1, N]
-        return LongitudinalSamples(*(b0 * route.s_dot + b1 * accel + b2 * target for b0, b1, b2 in self._basis))
+        target = torch.cat([self._fractions * desired_speed, *[stops] * n_repeats])  # [C, N]
+        jerk_now = _weighted(self._basis_now, route.s_dot, accel, target)
+        travelled, speed, accels, jerk = (
+            _weighted(basis, route.s_dot, accel, target[:, None]) for basis in self._basis
+        )
+        return LongitudinalSamples(travelled, speed, accels, jerk, jerk_now)
+
+
+def _weighted(basis: tuple[Tensor, ...], speed: Tensor, accel: Tensor, target: Tensor) -> Tensor:
+    return basis[0] * speed + basis[1] * accel + basis[2] * target
 
 
 def _keep(duration: float) -> Tensor:
