@@ -47,7 +47,7 @@ class RunConfig:
     stages: Annotated[tuple[Stage, ...], Field(min_length=1)]
     checkpoint: str | None
     device: Literal["auto", "cpu", "cuda"]
-    n_threads: PositiveInt
+    n_threads: PositiveInt | Literal["auto"]
     compile: Literal["auto", "on", "off"]
     scenario: ScenarioConfig
     perception: PerceptionConfig

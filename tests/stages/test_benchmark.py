@@ -143,7 +143,7 @@ def test_the_latency_belongs_to_one_world(tiny: RunConfig) -> None:
 def test_what_the_machine_lacks_is_left_out_and_said(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(benchmark, "wants_compile", lambda choice: False)
+    monkeypatch.setattr(benchmark, "has_compiler", lambda: False)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with caplog.at_level("INFO", "negopipe"):
         assert available(("eager", "compiled", "cuda")) == ["eager"]
