@@ -101,7 +101,7 @@ def test_it_finds_the_best_of_all_sequences(config: RunConfig, game: Game, tasks
     rollouts = Held(config, game)
     one = map_tensors(lambda field: field[:1], tasks)
     every = torch.tensor(list(product(range(4), repeat=3)))
-    found = searched(rollouts, one, rounds=12)
+    found = searched(rollouts, one, rounds=24)
     each = map_tensors(lambda field: field.repeat_interleave(len(every), 0), one)
     exact = rollouts.play(each, every, found[0].score.repeat(len(every))).score.amax()
     assert exact > found[0].score + 0.25
