@@ -11,7 +11,7 @@ The map, from the bottom up (a part imports only what stands above it here):
     env           the game as batched worlds for the learner
     evaluation/   drives held-out tasks: planners, episodes, trace, metrics
     report/       figures, animation, page     tracking/   MLflow store, checkpoints
-    stages/       train, evaluate, report, behaviour_map, benchmark: each a function of config and run
+    stages/       train, evaluate, report, behaviour_map, oracle, benchmark: each a function of config and run
     config        RunConfig, the root schema   __main__   the command line   gym_env   gymnasium's door
 
 One decision (E worlds, V vehicles)
