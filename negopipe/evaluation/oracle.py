@@ -1,9 +1,10 @@
 """The oracle: for each task the best sequence of prediction horizons that a search finds, knowing everything.
 
 An episode is a function of its task and of the ego's horizons, so a search may play it with the true social drivers
-as often as it likes. What it finds is the limit that a planner's regret is measured against. The search climbs from
-the best fixed horizon: every round it changes the best sequence of each task at random and keeps the best. That
-proves no optimum; what more of it still gains is measured instead (`negopipe.stages.oracle`).
+as often as it likes. What it finds is the limit that a planner's regret is measured against. The search begins with all
+sequences of one switch at a grid of times, since committing early decides, and climbs from the best of them: every
+round it changes the best sequence of each task at random and keeps the best. That proves no optimum; what more of it
+still gains is measured instead (`negopipe.stages.oracle`).
 
 Axes: N tasks, C candidates per task and round, R sequences that are played at once, T decisions.
 """
@@ -18,12 +19,13 @@ from torch import Generator, Tensor
 from negopipe.env import Game
 from negopipe.reward import RewardConfig, reward
 from negopipe.schema import PositiveInt, schema
-from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import EGO, Task, World, map_tensors, where_world
 
 SHIFT_CHANCE = 0.3
 """How often a candidate has its later decisions moved in time, beside the pieces that are written over."""
 MAX_SHIFT_STEPS = 3
+SWITCH_STEPS = range(4, 48, 4)
+"""Steps at which the sequences of one switch have it: every 0.8 s until both could have passed."""
 SECOND_PIECE_CHANCE = 0.5
 
 
@@ -77,24 +79,27 @@ class Rollouts:
         n_steps = torch.zeros_like(actions[:, 0])
         world, rows = self.game.simulator.reset(tasks), torch.arange(len(tasks), device=actions.device)
         while len(rows) > 0:
-            world, events = self._step(world, actions[rows, world.step])
+            horizon = world.style_horizon.clone()
+            horizon[:, EGO] = self._horizons[actions[rows, world.step]]
+            world, events = self.game.drive(world, horizon)
             paid[rows] += reward(self.reward_config, events.is_collision, events.is_success).double()
             n_steps[rows] = world.step
             is_over = events.is_terminated | events.is_truncated
             early = torch.where(events.is_success, self._step_left(world), 0.0)
             score[rows[is_over]] = (paid[rows] - self.reward_config.step * early)[is_over]
-            is_hopeful = paid[rows] + self.reward_config.success > at_least[rows]
+            most = paid[rows] + self.reward_config.success + self.reward_config.step * self._steps_needed(world)
+            is_hopeful = most > at_least[rows]
             going = (~is_over & is_hopeful).nonzero()[:, 0]
             if len(going) < len(rows):
                 rows, world = map_tensors(lambda field, i=going: field[i], (rows, world))
         return Sequences(actions, n_steps, paid, score)
 
-    def _step(self, world: World, action: Tensor) -> tuple[World, Events]:
-        """One decision; `action` [R] int64 is the ego's, social vehicles drive in their style."""
-        perception = self.game.perceive(world)
-        horizon = perception.style_horizon.clone()
-        horizon[:, EGO] = self._horizons[action]
-        return self.game.step(world, self.game.plan(perception, horizon).state)
+    def _steps_needed(self, world: World) -> Tensor:
+        """[R] float64: no fewer steps can bring the last vehicle to its target, at the highest speed allowed."""
+        simulator, limits = self.game.simulator, self.game.planner.config.limits
+        s = simulator.road.progress(world.vehicles.position, world.task.direction)
+        left = torch.where(world.has_reached, 0.0, simulator.road.target_s_m - s).amax(1).clamp(min=0)
+        return left.double() / (limits.speed_max_mps * simulator.scenario.dt_s)
 
     def _step_left(self, world: World) -> Tensor:
         """[R] float64 in [0, 1): share of the last step that was left when the last vehicle was at its target."""
@@ -104,10 +109,16 @@ class Rollouts:
         return (beyond / driven).amin(1).double().clamp(0.0, 0.999)
 
 
-def best_fixed(rollouts: Rollouts, tasks: Task) -> Sequences:
-    """[N]: the best constant sequence of each task, where the search starts."""
-    fixed = torch.arange(rollouts.n_actions, device=tasks.family.device)[None, :, None]
-    return _best(rollouts, tasks, fixed.expand(len(tasks), -1, rollouts.n_steps), None)
+def best_simple(rollouts: Rollouts, tasks: Task) -> Sequences:
+    """[N]: the best of each task's sequences of no switch or one, where the search starts."""
+    fixed = torch.arange(rollouts.n_actions, device=tasks.family.device)[:, None].expand(-1, rollouts.n_steps)
+    best = _best(rollouts, tasks, fixed.expand(len(tasks), -1, -1), None)
+    step = torch.arange(rollouts.n_steps, device=fixed.device)
+    for at in SWITCH_STEPS:
+        pairs = torch.where(step < at, fixed[:, None], fixed[None]).flatten(0, 1)
+        found = _best(rollouts, tasks, pairs.expand(len(tasks), -1, -1), best.score)
+        best = where_world(found.score >= best.score, found, best)
+    return best
 
 
 def improve(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, random: Generator) -> Sequences:

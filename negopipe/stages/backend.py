@@ -1,6 +1,7 @@
 """What a run computes with: device, compiled or not, how many threads. Chosen once, at the run's first start."""
 
 import ctypes
+import importlib
 import json
 import logging
 import os
@@ -52,10 +53,19 @@ def prepare(config: "RunConfig") -> None:
     """Set torch up for a settled config."""
     torch.set_num_threads(int(config.n_threads))
     keep_freed_memory()
+    if config.compile == "on":
+        _forget_compiled()
     if config.device == "cuda":
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
         torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
+
+
+def _forget_compiled() -> None:
+    """Make room: a sweep's jobs share a process, and each compiles its own scenario."""
+    dynamo = importlib.import_module("torch._dynamo")  # takes seconds, which only a compiled run should wait for
+    dynamo.reset()
+    dynamo.config.fail_on_recompile_limit_hit = True  # rather than going on uncompiled, many times slower
 
 
 def keep_freed_memory() -> None:

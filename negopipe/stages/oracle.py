@@ -8,10 +8,10 @@ import pandas as pd
 import torch
 
 from negopipe.driver import ChooseHorizon
-from negopipe.env import Game, build_game, wants_compile
+from negopipe.env import Game, build_game
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes, running, summary
-from negopipe.evaluation.oracle import Rollouts, Sequences, best_fixed, improve
+from negopipe.evaluation.oracle import Rollouts, Sequences, best_simple, improve
 from negopipe.evaluation.planners import fixed_name, fixed_planners, sequence_planner
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.seeding import generator
@@ -32,7 +32,7 @@ CONVERGED = 0.05
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Search all settings; writes oracle.csv and the part `oracle` of metrics.json."""
-    game = build_game(config, device_of(config), wants_compile(config.compile))
+    game = build_game(config, device_of(config), is_compiled=config.compile == "on")
     rows, measures = [], {}
     n_rounds = 2 * config.oracle.rounds
     with ProgressLine("oracle", len(config.oracle.settings) * n_rounds) as progress:
@@ -61,7 +61,7 @@ def find(
     """What is found [N] with the configured budget, and with twice that."""
     rollouts = Rollouts(game, config.policy.horizons_s, config.evaluation.reward)
     random = generator(config.seed, f"oracle {setting}", tasks.family.device)
-    best = half = best_fixed(rollouts, tasks)
+    best = half = best_simple(rollouts, tasks)
     for index in range(2 * config.oracle.rounds):
         best = improve(rollouts, tasks, best, config.oracle.population, random)
         half = best if index + 1 == config.oracle.rounds else half
@@ -93,15 +93,23 @@ def table(config: "RunConfig", trace: Trace, fixed: dict[float, Trace]) -> pd.Da
     n_switches: changes of the horizon, those without effect too
     best_fixed_horizon_s, best_fixed_reward: the fixed horizon with the highest return on the task, the shortest
         of equally good ones
+    fixed_<h>_outcome, fixed_<h>_reward: of each fixed horizon on the task
     """
     rows = episodes(trace, config.scenario.road.corridor_length_m)
-    returns = np.stack([(each.reward * running(each)).sum(0, dtype=np.float64) for each in fixed.values()])
+    others = {h: episodes(each, config.scenario.road.corridor_length_m) for h, each in fixed.items()}
+    returns = np.stack([each["reward"] for each in others.values()])
+    beside = {
+        f"{fixed_name(h)}_{column}": each[column].to_numpy()
+        for h, each in others.items()
+        for column in ("outcome", "reward")
+    }
     columns = "setting episode ego_start_distance_m social_start_distance_m style_horizon_s outcome reward "
     columns += "ego_time_s social_time_s"
     return rows[columns.split()].assign(
         n_switches=n_switches(trace),
         best_fixed_horizon_s=np.array(list(fixed))[returns.argmax(0)],
         best_fixed_reward=returns.max(0),
+        **beside,
     )
 
 

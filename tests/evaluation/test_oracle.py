@@ -11,7 +11,7 @@ from games import draw_tasks
 from negopipe.config import RunConfig
 from negopipe.env import Game
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.oracle import Rollouts, Sequences, best_fixed, candidates, improve
+from negopipe.evaluation.oracle import Rollouts, Sequences, best_simple, candidates, improve
 from negopipe.evaluation.planners import sequence_planner
 from negopipe.simulation.state import Task, map_tensors
 
@@ -26,7 +26,7 @@ def rollouts(config: RunConfig, game: Game) -> Rollouts:
 def searched(rollouts: Rollouts, tasks: Task, rounds: int) -> list[Sequences]:
     """The best at the start and after each round."""
     random = torch.Generator().manual_seed(0)
-    found = [best_fixed(rollouts, tasks)]
+    found = [best_simple(rollouts, tasks)]
     for _ in range(rounds):
         found.append(improve(rollouts, tasks, found[-1], POPULATION, random))
     return found

@@ -30,5 +30,5 @@ def test_what_is_given_counts(tmp_path: Path) -> None:
 def test_a_compiler_that_is_gone_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / backend.BACKEND_NAME).write_text('{"device": "cpu", "compile": "on", "n_threads": 1}')
     monkeypatch.setattr(backend, "has_compiler", lambda: False)
-    with pytest.raises(UserError, match="compile must be off .* got on"):
+    with pytest.raises(UserError, match=r"compile must be off .* got on"):
         backend.settle(compose_config(), tmp_path)
