@@ -51,8 +51,9 @@ class Workload:
 def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
     """Work of one decision at the configured sizes.
 
-    With V vehicles, O = V - 1 others, L lateral and C longitudinal candidates, T times, S stations, K stations around a
-    predicted vehicle, P parked cars in R rows, B boxes beyond the kerbs, F frames of H x W cells and J poses remembered:
+    With V vehicles, O = V - 1 others, L lateral and C longitudinal candidates, T times, S stations, K stations around
+    a predicted vehicle, P parked cars in R rows, B boxes beyond the kerbs, F frames of H x W cells and J poses
+    remembered:
 
         flops = V [C T sample + L S (station + R row)
                    + O T (L K (check + overlap + blocked) + L C within + predict)]
