@@ -3,20 +3,22 @@
 The map, from the bottom up (a part imports only what stands above it here):
 
     schema, errors, seeding   how configs are declared, the user's errors, random streams
-    simulation/   state, geometry, reference_line, roadside, road, scenario (tasks), perception, simulator
+    simulation/   state, geometry, reference_line, roadside, road, scenario (tasks), perception,
+                  dynamics, simulator
     planner/      polynomials, longitudinal and lateral candidates, prediction, frenet (the choice)
     observation/  occupancy grids          reward   Eq. 3
     driver        who drives a vehicle     policy/  the network
     learning/     rollout, advantage, kfac, acktr, curriculum: tensors only, nothing of the simulator
-    env           the game as batched worlds for the learner
+    chunks, env   the game as batched worlds for the learner
     evaluation/   drives held-out tasks: planners, episodes, trace, metrics
     report/       figures, animation, page     tracking/   MLflow store, checkpoints
-    stages/       train, evaluate, report, behaviour_map, benchmark: each a function of config and run
+    stages/       train, evaluate, report, behaviour_map, oracle, benchmark: each a function of config and run
     config        RunConfig, the root schema   __main__   the command line   gym_env   gymnasium's door
 
 One decision (E worlds, V vehicles)
     action [E] -> horizon [E, V] (ego from the action, social from its style) -> perceive -> predict
-    -> one `plan` for all E*V -> `step` 0.2 s -> events -> reward -> grids of the state reached -> masked reset
+    -> one `plan` for all E*V -> `step` 0.2 s -> events -> reward -> grids of the state reached -> new tasks where
+    an episode is over
 
 One iteration
     the stage's task distribution -> collect -> k-step advantage -> ACKTR update -> log -> (stage's end) checkpoint

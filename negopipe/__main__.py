@@ -27,7 +27,7 @@ from negopipe.config_errors import explain_composition
 from negopipe.errors import UserError
 
 if TYPE_CHECKING:
-    from negopipe.config import RunConfig
+    pass
 
 log = logging.getLogger("negopipe")
 
@@ -79,11 +79,11 @@ def pipeline(composed: DictConfig) -> None:
 def run_stages(composed: DictConfig) -> None:
     """Check the config, open its run and run its stages in order."""
     from negopipe.config import as_mapping, load, run_name
+    from negopipe.stages import backend
     from negopipe.tracking.checkpoint import find_checkpoint
     from negopipe.tracking.store import open_run
 
     config = load(composed)
-    _prepare_torch(config)
     # all code is loaded now, so that what is edited during a long run does not end up in it
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
@@ -91,25 +91,14 @@ def run_stages(composed: DictConfig) -> None:
     with open_run(config, run_name(config), as_mapping(config)) as run:
         run.set_tags({"overrides": " ".join(HydraConfig.get().overrides.task)})
         log.info("run        %s", _shown(run.folder))
+        config = backend.settle(config, run.folder)
+        backend.prepare(config)
         for stage in stages:
             stage.run(config, run)
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _shown(run.folder / file_name))
     log.info("dashboard  make ui")
-
-
-def _prepare_torch(config: "RunConfig") -> None:
-    import torch
-
-    torch.set_num_threads(config.n_threads)
-    has_cuda = torch.cuda.is_available()
-    if config.device == "cuda" and not has_cuda:
-        raise UserError("device must be auto or cpu on a machine without CUDA, got cuda")
-    if config.device != "cpu" and has_cuda:  # on the CPU torch repeats itself anyway
-        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
-        torch.use_deterministic_algorithms(True, warn_only=True)
-        torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
 
 
 def _note_failure(error: Exception) -> None:

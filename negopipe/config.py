@@ -13,6 +13,7 @@ from negopipe.config_errors import explain_composition, explain_validation
 from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
+from negopipe.evaluation.oracle import OracleConfig
 from negopipe.evaluation.planners import fixed_name
 from negopipe.evaluation.speed import BenchmarkConfig
 from negopipe.learning.acktr import AcktrConfig
@@ -28,7 +29,7 @@ from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.tracking.store import TrackingConfig
 
-Stage = Literal["train", "evaluate", "report", "behaviour_map", "benchmark"]
+Stage = Literal["train", "evaluate", "report", "behaviour_map", "oracle", "benchmark"]
 FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 RESULT_NEUTRAL = {"name", "seed", "outputs", "stages", "n_threads", "report", "tracking"}
@@ -47,7 +48,7 @@ class RunConfig:
     stages: Annotated[tuple[Stage, ...], Field(min_length=1)]
     checkpoint: str | None
     device: Literal["auto", "cpu", "cuda"]
-    n_threads: PositiveInt
+    n_threads: PositiveInt | Literal["auto"]
     compile: Literal["auto", "on", "off"]
     scenario: ScenarioConfig
     perception: PerceptionConfig
@@ -60,6 +61,7 @@ class RunConfig:
     curriculum: CurriculumConfig
     evaluation: EvaluationConfig
     behaviour_map: BehaviourMapConfig
+    oracle: OracleConfig
     report: ReportConfig
     tracking: TrackingConfig
     benchmark: BenchmarkConfig
@@ -106,6 +108,7 @@ def check_components(config: RunConfig) -> None:
     _check_times(config)
     _check_grids(config)
     _check_evaluation(config)
+    _check_oracle(config)
 
 
 def _check_horizons(config: RunConfig) -> None:
@@ -163,6 +166,23 @@ def _check_evaluation(config: RunConfig) -> None:
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], among=settings)
     if "report" in config.stages:
         _require("report.side_by_side", config.report.side_by_side, among=planners)
+
+
+def _check_oracle(config: RunConfig) -> None:
+    """The oracle's tasks are among the evaluated ones, and it may give up on what takes too long."""
+    if "oracle" not in config.stages:
+        return
+    _require("oracle.settings", config.oracle.settings, among=config.scenario.families)
+    limit, paid = config.evaluation.n_episodes, config.evaluation.reward
+    if config.oracle.n_episodes > limit:
+        raise UserError(
+            f"oracle.n_episodes must be at most evaluation.n_episodes = {limit}, got {config.oracle.n_episodes}"
+        )
+    if paid.step > 0 or paid.collision > 0 or paid.success < 0:
+        raise UserError(
+            "evaluation.reward must have step <= 0, collision <= 0 and success >= 0 for the stage oracle, got "
+            f"{paid.step}, {paid.collision}, {paid.success}"
+        )
 
 
 def _require(key: str, values: Iterable[str], among: Iterable[str]) -> None:

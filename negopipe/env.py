@@ -4,7 +4,7 @@ import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -102,11 +102,9 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     )
 
 
-def wants_compile(choice: Literal["auto", "on", "off"]) -> bool:
-    """Whether to compile: as told, or where a C++ compiler is found, which torch.compile needs on the CPU."""
-    if choice == "auto":
-        return any(shutil.which(name) for name in (os.environ.get("CXX", "g++"), "g++", "clang++"))
-    return choice == "on"
+def has_compiler() -> bool:
+    """A C++ compiler is found, which torch.compile needs on the CPU."""
+    return any(shutil.which(name) for name in (os.environ.get("CXX", "g++"), "g++", "clang++"))
 
 
 class NegotiationEnv:

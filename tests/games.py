@@ -17,6 +17,7 @@ def place(world: World, vehicles: VehicleState) -> World:
     return replace(
         world,
         vehicles=map_tensors(torch.clone, vehicles),
+        reference=map_tensors(torch.clone, vehicles),
         pose_history=pose[:, None].expand_as(world.pose_history).contiguous(),
         speed_history=vehicles.speed[:, None].expand_as(world.speed_history).contiguous(),
     )

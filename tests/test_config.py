@@ -62,7 +62,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["device=tpu"], "device must be one of auto, cpu, cuda, got tpu"),
         (
             ["stages=[train,rest]"],
-            "stages.1 must be one of train, evaluate, report, behaviour_map, benchmark, got rest",
+            "stages.1 must be one of train, evaluate, report, behaviour_map, oracle, benchmark, got rest",
         ),
         (["stages=train"], "stages must be a list, got train"),
         (["name=a/b"], "name must match pattern '^[A-Za-z0-9][A-Za-z0-9_.-]*$', got a/b"),

@@ -80,7 +80,10 @@ def test_help_names_the_experiments_and_needs_no_torch() -> None:
         (["seed=abc"], "seed must be a valid integer, got abc"),
         (["device=tpu"], "device must be one of auto, cpu, cuda, got tpu"),
         (["+experiment=nope"], "experiment must be one of "),
-        (["scenario=nope"], "scenario must be one of narrow_lane, got nope"),
+        (
+            ["scenario=nope"],
+            "scenario must be one of bent_street, long_corridor, narrow_lane, one_sided, s_curve, wide_gap, got nope",
+        ),
         (["planner=3"], "Config group override must be a string or a list. Got int, got planner=3"),
         (["seed=[1"], "seed=[1 cannot be read: "),
         (["+seed=1"], "Could not append to config. An item is already at 'seed'."),

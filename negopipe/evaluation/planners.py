@@ -1,4 +1,4 @@
-"""The ego drivers that are compared: the trained policy and the fixed horizons."""
+"""The ego drivers that are compared: the trained policy, the fixed horizons, and sequences found beforehand."""
 
 import torch
 from torch import Generator, Tensor
@@ -30,5 +30,19 @@ def adaptive_planner(
         logits, _ = policy(game.draw(perception))
         action = greedy_action(logits) if sampling is None else sample_action(logits, sampling)
         return horizons[action][:, None]
+
+    return choose
+
+
+def sequence_planner(horizon_s: Tensor) -> ChooseHorizon:
+    """Plays `horizon_s` [T, E] (s), its next row at every decision.
+
+    It counts the decisions, as no vehicle perceives the time: make one for each batch of episodes that start
+    together, and drive all E tasks in one batch (`n_worlds` = E).
+    """
+    rows = iter(horizon_s[:, :, None])
+
+    def choose(perception: Perception) -> Tensor:
+        return next(rows)
 
     return choose

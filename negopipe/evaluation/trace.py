@@ -15,6 +15,9 @@ OUTCOMES = ("success", "collision", "deadlock", "timeout")
 ADAPTIVE = "adaptive"
 """`Trace.planner` of the planner whose prediction horizon the policy chooses."""
 
+ORACLE = "oracle"
+"""`Trace.planner` of the best sequences that a search with full knowledge found."""
+
 
 @dataclass(frozen=True)
 class Trace:

@@ -1,8 +1,7 @@
 """The work in one decision, and with that the physical limit: how many a machine could take at most.
 
-Counted is the plain algorithm (every combination of candidates against every predicted vehicle at every time, as
-oriented boxes), fused into one pass: operations on single numbers, and only those bytes that must be read or written
-between two decisions. The network is not part of it. An algorithm that skips work may beat the limit.
+Counted is what the planner and the grids do, fused into one pass: operations on single numbers, and only those bytes
+that must be read or written between two decisions. The network is not part of it.
 """
 
 from dataclasses import dataclass
@@ -17,14 +16,16 @@ _ROUTE = 31  # route_offset: smoothstep with two derivatives 18, its argument 5,
 _FOLLOW = 24 + _ROUTE + 6  # a quintic with two derivatives by Horner, the route, and their sums
 _STATION = _FOLLOW + 8 + 10  # ... curvature and its limit; heading, reach and kerb
 _CHECK = _FOLLOW - 14 + 4  # ... without the second derivatives; heading
-_IN_HORIZON = 2  # drop what is beyond the prediction horizon, keep the deepest
-_SAMPLE = 4 * 8 + 12  # four derivatives, each a row times four numbers; limits and costs
+_ROW = 26  # a footprint against a row of parked cars
+_BLOCKED = 10  # where a stretch begins and ends, from the depths at two stations
+_WITHIN = 4  # whether a candidate is within the stretch, keep the deepest
+_SAMPLE = 4 * 5 + 12  # four derivatives, each a row times three numbers; limits and costs
 _PREDICT = _ROUTE + 13  # route, fading offset, the viewer's frame
 _CROSSING = 32  # first and last column of a box in a row of cells
 _WORD = 13  # the same as bits of one machine word
 _CELL = 3  # shift, mask, narrow
 
-_STATE_FLOATS = 6  # position 2, yaw, speed, acceleration, curvature
+_STATE_FLOATS = 12  # position 2, yaw, speed, acceleration, curvature; of the vehicle and of its plan
 _POSE_FLOATS = 4  # with the speed
 _TASK_FLOATS = 8
 _FLAG_BYTES = 3 + 8  # has reached, has collided, has switched; steps at rest
@@ -50,16 +51,18 @@ class Workload:
 def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
     """Work of one decision at the configured sizes.
 
-    With V vehicles, O = V - 1 others, L lateral and C longitudinal candidates, T times, S stations, P parked cars,
-    B boxes beyond the kerbs, F frames of H x W cells and K poses remembered:
+    With V vehicles, O = V - 1 others, L lateral and C longitudinal candidates, T times, S stations, K stations around
+    a predicted vehicle, P parked cars in R rows, B boxes beyond the kerbs, F frames of H x W cells and J poses
+    remembered:
 
-        flops = V [C T sample + L S (station + P overlap) + L C T (check + O (overlap + in_horizon)) + O T predict]
+        flops = V [C T sample + L S (station + R row)
+                   + O T (L K (check + overlap + blocked) + L C within + predict)]
               + V (O + P) overlap + (F V + P + B) H (crossing + words * word) + F H W cell
-        bytes = 2 V (state + K pose + flags) + V task + 3 counters + F H W
+        bytes = 2 V (state + J pose + flags) + V task + 3 counters + F H W
     """
     n_vehicles = 1 + scenario.n_social
     n_others, n_parked = scenario.n_social, len(game.simulator.road.parked_cars)
-    flops = n_vehicles * (_plan(game, n_others, n_parked) + (n_others + n_parked) * OVERLAP)
+    flops = n_vehicles * (_plan(game, n_others) + (n_others + n_parked) * OVERLAP)
     n_frames, height, width = game.observation_shape
     n_words = -(-width // _WORD_BITS)
     n_beyond_kerbs = game.simulator.road.off_road_boxes().x.numel()
@@ -70,12 +73,13 @@ def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
     return Workload(float(flops), float(moved + n_frames * height * width))
 
 
-def _plan(game: Game, n_others: int, n_parked: int) -> int:
+def _plan(game: Game, n_others: int) -> int:
     """Operations of one vehicle's plan."""
     planner = game.planner
     n_lateral, n_longitudinal = planner.lateral.n_candidates, planner.longitudinal.n_candidates
     n_times, n_stations = len(planner.times), len(planner.stations)
+    n_around, n_rows = planner.n_around, len(planner.roadside.rows)
     sampling = n_longitudinal * n_times * _SAMPLE
-    roadside = n_lateral * n_stations * (_STATION + n_parked * OVERLAP)
-    conflicts = n_lateral * n_longitudinal * n_times * (_CHECK + n_others * (OVERLAP + _IN_HORIZON))
-    return sampling + roadside + conflicts + n_others * n_times * _PREDICT
+    roadside = n_lateral * n_stations * (_STATION + n_rows * _ROW)
+    checks = n_lateral * n_around * (_CHECK + OVERLAP + _BLOCKED) + n_lateral * n_longitudinal * _WITHIN
+    return sampling + roadside + n_others * n_times * (checks + _PREDICT)

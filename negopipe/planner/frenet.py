@@ -122,6 +122,11 @@ class FrenetPlanner:
         """Trajectories checked per vehicle and decision."""
         return self.longitudinal.n_candidates * self.lateral.n_candidates
 
+    @property
+    def n_around(self) -> int:
+        """Stations K around each predicted vehicle at which a path is checked."""
+        return len(self._around)
+
     def plan(self, perception: Perception, horizon: Tensor) -> Motion:
         """Best feasible trajectory of every seat, given its prediction horizon [E, S] (s)."""
         shape = horizon.shape

@@ -1,6 +1,7 @@
 """How a vehicle gets from its state to the one its driver wants a control step later: exactly, or as a car does."""
 
 import math
+from functools import partial
 from typing import Annotated, Literal, Protocol
 
 import torch
@@ -9,7 +10,7 @@ from torch import Tensor
 
 from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
 from negopipe.simulation.geometry import wrap_angle
-from negopipe.simulation.state import VehicleState
+from negopipe.simulation.state import VehicleState, map_tensors
 
 SteerDegrees = Annotated[float, Field(gt=0, lt=90)]
 
@@ -33,8 +34,11 @@ class BicycleConfig:
     steer_time_constant_s: PositiveFloat
     actuation_delay_s: NonNegativeFloat
     n_substeps: PositiveInt
+    speed_gain_1ps: NonNegativeFloat
+    position_gain_1ps2: NonNegativeFloat
     heading_gain_1pm: NonNegativeFloat
     lateral_gain_1pm2: NonNegativeFloat
+    replan_distance_m: PositiveFloat
 
 
 DynamicsConfig = Annotated[PerfectConfig | BicycleConfig, Field(discriminator="model")]
@@ -48,8 +52,10 @@ class Dynamics(Protocol):
 
     delay_steps: int
 
-    def move(self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor) -> tuple[VehicleState, Tensor]:
-        """`vehicles` [E, V] one control step later, and the commands [E, D, V, 2] that are on their way then.
+    def move(
+        self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor
+    ) -> tuple[VehicleState, VehicleState, Tensor]:
+        """`vehicles` [E, V] one control step later, what to plan on from, and the commands [E, D, V, 2] on their way.
 
         wanted: VehicleState [E, V], what the drivers want them to be then
         queue: [E, D, V, 2] float32, on their way now, the oldest first: acceleration (m/s2), steering angle (rad)
@@ -67,8 +73,11 @@ class Perfect:
 
     delay_steps = 0
 
-    def move(self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor) -> tuple[VehicleState, Tensor]:
-        return wanted, queue
+    def move(
+        self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor
+    ) -> tuple[VehicleState, VehicleState, Tensor]:
+        """See `Dynamics.move`."""
+        return wanted, wanted, queue
 
 
 class Bicycle:
@@ -89,23 +98,32 @@ class Bicycle:
         self._steer_max = math.radians(config.steer_max_deg)
         self._steer_change_max = math.radians(config.steer_rate_max_degps) * self._substep_s
 
-    def move(self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor) -> tuple[VehicleState, Tensor]:
-        """See `Dynamics.move`."""
+    def move(
+        self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor
+    ) -> tuple[VehicleState, VehicleState, Tensor]:
+        """See `Dynamics.move`.
+
+        A driver plans on from its own plan, not from where the car lags behind: else every plan would start with
+        the lag of the one before. Only where the car has lost its plan by `replan_distance_m`, it plans anew.
+        """
         queue = torch.cat([queue, self.command(vehicles, wanted)[:, None]], dim=1)
-        return self.actuate(vehicles, queue[:, 0]), queue[:, 1:]
+        moved = self.actuate(vehicles, queue[:, 0])
+        is_lost = (moved.position - wanted.position).norm(dim=-1) > self.config.replan_distance_m
+        return moved, map_tensors(partial(_where, is_lost), moved, wanted), queue[:, 1:]
 
     def command(self, vehicles: VehicleState, wanted: VehicleState) -> Tensor:
         """[E, V, 2] float32: acceleration (m/s2) and steering angle (rad) that lead to the state wanted.
 
-        The mean acceleration to the speed wanted; the curvature wanted, corrected by how far off the pose wanted
-        a vehicle would come with it.
+        What the plan does, corrected by how far off the pose and the speed wanted a vehicle would come with it.
         """
-        accel = (wanted.speed - vehicles.speed) / self.dt_s
         travelled = (vehicles.speed + wanted.speed) / 2 * self.dt_s
         position, yaw = _along_arc(vehicles.position, vehicles.yaw, wanted.curvature, travelled)
         off = wanted.position - position
+        ahead = off[..., 0] * torch.cos(yaw) + off[..., 1] * torch.sin(yaw)
         left = off[..., 1] * torch.cos(yaw) - off[..., 0] * torch.sin(yaw)
         gains = self.config
+        accel = wanted.accel + gains.speed_gain_1ps * (wanted.speed - vehicles.speed)
+        accel = accel + gains.position_gain_1ps2 * ahead
         curvature = wanted.curvature + gains.lateral_gain_1pm2 * left
         curvature = curvature + gains.heading_gain_1pm * wrap_angle(wanted.yaw - yaw)
         return torch.stack([accel, torch.atan(gains.wheelbase_m * curvature)], dim=-1)
@@ -128,6 +146,10 @@ class Bicycle:
             speed = torch.where(moving_s < h, 0.0, (speed + accel * h).clamp(min=0))
             accel = torch.where((speed == 0) & (accel < 0), 0.0, accel)  # brakes hold, they do not push back
         return VehicleState(position, yaw, speed, accel, curvature)
+
+
+def _where(mask: Tensor, chosen: Tensor, other: Tensor) -> Tensor:
+    return torch.where(mask.reshape(*mask.shape, *[1] * (chosen.dim() - mask.dim())), chosen, other)
 
 
 def _along_arc(position: Tensor, yaw: Tensor, curvature: Tensor, travelled: Tensor) -> tuple[Tensor, Tensor]:

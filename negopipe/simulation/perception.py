@@ -33,7 +33,7 @@ class PerceptionConfig:
 class Perception:
     """Of S seats (vehicles that are driven), each seeing O = V - 1 others; E worlds.
 
-    own: VehicleState [E, S]
+    own: VehicleState [E, S], where the own plan has the vehicle (the tracking controller's reference)
     direction: [E, S] float32, own driving direction along the road, +1 or -1
     desired_speed: [E, S] float32, m/s
     style_horizon: [E, S] float32, s, own driving style, the one in force now; NaN where the driver chooses
@@ -124,7 +124,7 @@ class Sensor:
         pose = seen.pose[:, 0]
         n_frames = 1 + self.history_steps
         return Perception(
-            own=world.vehicles,
+            own=world.reference,
             direction=task.direction,
             desired_speed=task.desired_speed,
             style_horizon=world.style_horizon,

@@ -61,6 +61,7 @@ class Simulator:
         no = torch.zeros_like(s, dtype=torch.bool)
         return World(
             vehicles=vehicles,
+            reference=vehicles,
             task=task,
             step=torch.zeros_like(task.family),
             has_reached=no,
@@ -74,12 +75,13 @@ class Simulator:
 
     def step(self, world: World, wanted: VehicleState) -> tuple[World, Events]:
         """Move every vehicle towards `wanted` [E, V], the state its driver wants one `dt_s` later."""
-        motion, command_queue = self.dynamics.move(world.vehicles, wanted, world.command_queue)
+        motion, reference, command_queue = self.dynamics.move(world.vehicles, wanted, world.command_queue)
         s = self.road.progress(motion.position, world.task.direction)
         has_reached = world.has_reached | (s >= self.road.target_s_m)
         rest_steps, has_switched = self._styles(world, motion)
         moved = World(
             vehicles=motion,
+            reference=reference,
             task=world.task,
             step=world.step + 1,
             has_reached=has_reached,

@@ -79,6 +79,8 @@ class World:
     """Everything the simulator needs to go on; a step maps one to the next.
 
     vehicles: VehicleState [E, V]
+    reference: VehicleState [E, V], where each vehicle's own plan has it, from which it plans on; with perfect
+        dynamics that is where it is
     task: Task
     step: [E] int64, decisions taken in this episode
     has_reached: [E, V] bool, the vehicle has passed its target in this episode
@@ -93,6 +95,7 @@ class World:
     """
 
     vehicles: VehicleState
+    reference: VehicleState
     task: Task
     step: Tensor
     has_reached: Tensor

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from negopipe.driver import fixed_horizon
-from negopipe.env import Game, build_game, wants_compile
+from negopipe.env import Game, build_game
 from negopipe.evaluation.behaviour_map import cell, claims, findings
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.planners import fixed_name
@@ -28,8 +28,7 @@ log = logging.getLogger("negopipe")
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Drive all pairs in all settings; writes behaviour_map.csv, figures/behaviour_map.* and claim 8's verdicts."""
-    is_compiled = wants_compile(config.compile)
-    game = build_game(config, device_of(config), is_compiled)
+    game = build_game(config, device_of(config), is_compiled=config.compile == "on")
     table = drive_map(config, game)
     table.to_csv(run.folder / "behaviour_map.csv", index=False)
     run.log_artifact(run.folder / "behaviour_map.csv")

@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import signal
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -21,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from negopipe.driver import HorizonDriver
-from negopipe.env import Game, NegotiationEnv, build_game, wants_compile
+from negopipe.env import Game, NegotiationEnv, build_game, has_compiler
 from negopipe.errors import UserError
 from negopipe.evaluation.planners import adaptive_planner
 from negopipe.evaluation.speed import (
@@ -38,6 +39,7 @@ from negopipe.policy.actor_critic import grid_actor_critic
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO
+from negopipe.stages.backend import prepare
 from negopipe.stages.progress import ProgressLine
 
 if TYPE_CHECKING:
@@ -120,19 +122,21 @@ def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figure
     observation_frames_per_s: by `draw` alone
     decision_latency_ms_p50, _p99: what one ego needs for a decision: grids, network, plan; with one world only
     peak_memory_mb: growth of the peak since before the game is built, the compiler's own memory included
-    first_compile_s: the first step, in which everything is compiled
+    first_compile_s: the first grids and the first step, in which all is compiled that a step needs
     """
     before_mb = peak_memory_mb(_device(backend))
     benchmark, device = config.benchmark, _device(backend)
     is_compiled = backend in ("compiled", "cuda")
     game = build_game(config, device, is_compiled)
-    env = _start(config, game, n_worlds, device)
     actions = generator(config.seed, "benchmark actions", device)
+    started_s = time.perf_counter()
+    env = _start(config, game, n_worlds, device)
 
     def step() -> None:
         env.step(torch.randint(env.n_actions, (n_worlds,), generator=actions, device=device))
 
-    first_s = block_seconds(step, 1, device)
+    block_seconds(step, 1, device)
+    first_s = time.perf_counter() - started_s
     step_s = seconds_per_call(step, benchmark, device)
     perception = game.perceive(env.world)
     horizon = torch.full_like(perception.direction, config.planner.horizon_s)
@@ -209,7 +213,7 @@ def _limit(device: str) -> str:
 def _what_is_missing(backend: Backend) -> str | None:
     if _device(backend).type == "cuda" and not torch.cuda.is_available():
         return "CUDA device"
-    if backend in ("compiled", "cuda") and not wants_compile("auto"):
+    if backend in ("compiled", "cuda") and not has_compiler():
         return "C++ compiler"
     return None
 
@@ -238,7 +242,7 @@ def _answer(
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, which ends this process
     os.environ["TORCHINDUCTOR_CACHE_DIR"] = cache
-    torch.set_num_threads(config.n_threads)
+    prepare(config)
     sender.send(measure(config, *cell))
 
 

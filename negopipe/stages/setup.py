@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from negopipe.env import Game, build_game, wants_compile
+from negopipe.env import Game, build_game
 from negopipe.errors import UserError
 from negopipe.policy.actor_critic import ActorCritic, grid_actor_critic
 from negopipe.seeding import generator
@@ -21,22 +21,15 @@ log = logging.getLogger("negopipe")
 
 def device_of(config: "RunConfig") -> torch.device:
     """The device of simulator and network."""
-    if config.device == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     return torch.device(config.device)
 
 
 def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
     """The game and a freshly initialised policy."""
     device = device_of(config)
-    is_compiled = wants_compile(config.compile)
-    game = build_game(config, device, is_compiled)
+    game = build_game(config, device, is_compiled=config.compile == "on")
     policy = grid_actor_critic(config.policy, game.observation_shape, device, generator(config.seed, "initial weights"))
-    how = "compiled (the first step takes up to a minute)" if is_compiled else "not compiled"
-    log.info(
-        f"device     {device.type}, {config.n_threads} threads, network in {policy.dtype}, simulator {how}, "
-        f"{game.planner.n_combinations} trajectories per plan"
-    )
+    log.info(f"planner    {game.planner.n_combinations} trajectories per plan; network in {policy.dtype}")
     return game, policy
 
 

@@ -44,7 +44,7 @@ class Corridor:
         self.cell = torch.where(is_done, 3, cell)
         self.steps = torch.where(is_done, 0, self.steps)
         reward = torch.where(is_success, 10.0, 0.0) + torch.where(is_collision, -10.0, 0.0) - 0.25
-        final = nn.functional.one_hot(cell, 7).float()
+        final = nn.functional.one_hot(cell[is_done], 7).float()
         return Transition(self.observe(), final, reward, is_terminated, is_truncated, is_success, is_collision)
 
 

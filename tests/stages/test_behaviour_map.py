@@ -46,7 +46,7 @@ TINY = (
 
 
 def tiny(*overrides: str) -> RunConfig:
-    return compose_config([*TINY, *overrides])
+    return compose_config(["device=cpu", *TINY, *overrides])
 
 
 class Run:
@@ -179,7 +179,7 @@ def test_everything_is_written_and_logged(ran: Run) -> None:
 
 def test_every_style_meets_the_tasks_of_the_evaluation(config: RunConfig, game: Game) -> None:
     own = held_out_tasks(config, game, "yield")
-    as_many = compose_config([f"behaviour_map.n_episodes={config.evaluation.n_episodes}"])
+    as_many = compose_config(["device=cpu", f"behaviour_map.n_episodes={config.evaluation.n_episodes}"])
     for style_s in (0.0, 4.0):
         tasks = behaviour_map.map_tasks(as_many, game, "yield", style_s)
         assert torch.equal(tasks.start_distance, own.start_distance)

@@ -1,0 +1,58 @@
+"""Compare the roads of jobs/scenario_study.sh and pick the default by the rule below.
+
+    python jobs/scenario_study.py outputs/scenario_study
+
+The rule, written down before the first run: a road qualifies if
+  1. every fixed horizon fails for some style of the mixture (success below 50 % of the tasks with that style), and
+  2. the oracle succeeds in at least 99 % of the mixture's tasks.
+Among those that qualify, the default is the one in which the best fixed horizon does worst (lowest success on the
+mixture). No trained policy is looked at. Also said for each road: whether the paper's claim could hold there, that in
+yield no fixed horizon arrives in time although some sequence of horizons does.
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+
+HORIZONS_S = (0, 2, 4, 6)
+FAILS_BELOW, ORACLE_AT_LEAST = 0.5, 0.99
+
+
+def road(folder: Path) -> dict[str, Any]:
+    """One row: what varies, and what the fixed horizons and the oracle reach."""
+    scenario = yaml.safe_load((folder / "config.yaml").read_text())["scenario"]
+    tasks = pd.read_csv(folder / "oracle.csv")
+    mixture, yield_ = tasks[tasks["setting"] == "mixture"], tasks[tasks["setting"] == "yield"]
+    fixed = pd.DataFrame({h: mixture[f"fixed_{h}_outcome"] == "success" for h in HORIZONS_S})
+    worst_style = fixed.groupby(mixture["style_horizon_s"]).mean().min()
+    oracle = float((mixture["outcome"] == "success").mean())
+    in_yield = pd.DataFrame({h: yield_[f"fixed_{h}_outcome"] == "success" for h in HORIZONS_S}).mean()
+    return {
+        "corridor_m": scenario["road"]["corridor_length_m"],
+        "gap_m": scenario["road"]["corridor_gap_m"],
+        "swerve_m": scenario["road"]["swerve_length_m"],
+        "speed_mps": scenario["desired_speed_mps"][1],
+        **{f"fixed_{h}": fixed[h].mean() for h in HORIZONS_S},
+        "best_fixed": fixed.mean().max(),
+        "oracle": oracle,
+        "qualifies": bool((worst_style < FAILS_BELOW).all() and oracle >= ORACLE_AT_LEAST),
+        "yield_best_fixed": in_yield.max(),
+        "yield_oracle": float((yield_["outcome"] == "success").mean()),
+    }
+
+
+def main() -> None:
+    folders = sorted(path.parent for path in Path(sys.argv[1]).glob("*/oracle.csv"))
+    table = pd.DataFrame([road(folder) for folder in folders]).sort_values("best_fixed", ignore_index=True)
+    print(table.to_string(float_format=lambda x: f"{x:.3g}"))
+    qualified = table[table["qualifies"]]
+    print("\npick:", "none qualifies" if qualified.empty else qualified.iloc[0].to_dict())
+    paper = table[(table["yield_best_fixed"] == 0) & (table["yield_oracle"] > 0)]
+    print(f"roads on which no fixed horizon arrives in yield while a sequence does: {len(paper)} of {len(table)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""The oracle: for each task the best sequence of prediction horizons that a search finds, knowing everything.
+
+An episode is a function of its task and of the ego's horizons, so a search may play it with the true social drivers
+as often as it likes. What it finds is the limit that a planner's regret is measured against. The search begins with all
+sequences of one switch at a grid of times, since committing early decides, and climbs from the best of them: every
+round it changes the best sequence of each task at random and keeps the best. That proves no optimum; what more of it
+still gains is measured instead (`negopipe.stages.oracle`).
+
+Axes: N tasks, C candidates per task and round, R sequences that are played at once, T decisions.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import torch
+from pydantic import Field
+from torch import Generator, Tensor
+
+from negopipe.env import Game
+from negopipe.reward import RewardConfig, reward
+from negopipe.schema import PositiveInt, schema
+from negopipe.simulation.state import EGO, Task, World, map_tensors, where_world
+
+SHIFT_CHANCE = 0.3
+"""How often a candidate has its later decisions moved in time, beside the pieces that are written over."""
+MAX_SHIFT_STEPS = 3
+SWITCH_STEPS = range(4, 48, 4)
+"""Steps at which the sequences of one switch have it: every 0.8 s until both could have passed."""
+SECOND_PIECE_CHANCE = 0.5
+
+
+@schema
+class OracleConfig:
+    """`conf/oracle/search.yaml` says what each value means."""
+
+    settings: Annotated[list[str], Field(min_length=1)]
+    n_episodes: PositiveInt
+    population: PositiveInt
+    rounds: PositiveInt
+
+
+@dataclass(frozen=True)
+class Sequences:
+    """Sequences of the ego's horizons and what they led to; the leading axis is R, or N for one per task.
+
+    actions: [R, T] int64, indices into the horizons; those after the episode's end mean nothing
+    n_steps: [R] int64, decisions until the episode ended
+    reward: [R] float64, undiscounted return
+    score: [R] float64, what the search maximises: the return and, for a success, less than one step's reward more
+        for the share of the last step that was left when the last vehicle arrived. It orders as the return does.
+        -inf: given up, nothing else is known
+    """
+
+    actions: Tensor
+    n_steps: Tensor
+    reward: Tensor
+    score: Tensor
+
+
+class Rollouts:
+    """Plays sequences of horizons in the true world.
+
+    horizons_s: the ego's choices, s
+    reward_config: what an episode pays; giving up is exact for a step that pays nothing or less
+    """
+
+    def __init__(self, game: Game, horizons_s: tuple[float, ...], reward_config: RewardConfig) -> None:
+        self.game, self.reward_config = game, reward_config
+        self.n_actions, self.n_steps = len(horizons_s), game.simulator.scenario.episode_steps
+        self._horizons = torch.tensor(horizons_s, device=game.planner.times.device)
+
+    def play(self, tasks: Task, actions: Tensor, at_least: Tensor) -> Sequences:
+        """What `actions` [R, T] lead to in `tasks` (R of them).
+
+        A rollout that can no longer score `at_least` [R] float64 is given up. Worlds that are over are left out.
+        """
+        paid = torch.zeros_like(at_least)
+        score = torch.full_like(at_least, -torch.inf)
+        n_steps = torch.zeros_like(actions[:, 0])
+        world, rows = self.game.simulator.reset(tasks), torch.arange(len(tasks), device=actions.device)
+        while len(rows) > 0:
+            horizon = world.style_horizon.clone()
+            horizon[:, EGO] = self._horizons[actions[rows, world.step]]
+            world, events = self.game.drive(world, horizon)
+            paid[rows] += reward(self.reward_config, events.is_collision, events.is_success).double()
+            n_steps[rows] = world.step
+            is_over = events.is_terminated | events.is_truncated
+            early = torch.where(events.is_success, self._step_left(world), 0.0)
+            score[rows[is_over]] = (paid[rows] - self.reward_config.step * early)[is_over]
+            most = paid[rows] + self.reward_config.success + self.reward_config.step * self._steps_needed(world)
+            is_hopeful = most > at_least[rows]
+            going = (~is_over & is_hopeful).nonzero()[:, 0]
+            if len(going) < len(rows):
+                rows, world = map_tensors(lambda field, i=going: field[i], (rows, world))
+        return Sequences(actions, n_steps, paid, score)
+
+    def _steps_needed(self, world: World) -> Tensor:
+        """[R] float64: no fewer steps can bring the last vehicle to its target, at the highest speed allowed."""
+        simulator, limits = self.game.simulator, self.game.planner.config.limits
+        s = simulator.road.progress(world.vehicles.position, world.task.direction)
+        left = torch.where(world.has_reached, 0.0, simulator.road.target_s_m - s).amax(1).clamp(min=0)
+        return left.double() / (limits.speed_max_mps * simulator.scenario.dt_s)
+
+    def _step_left(self, world: World) -> Tensor:
+        """[R] float64 in [0, 1): share of the last step that was left when the last vehicle was at its target."""
+        vehicles, simulator = world.vehicles, self.game.simulator
+        beyond = simulator.road.progress(vehicles.position, world.task.direction) - simulator.road.target_s_m
+        driven = (vehicles.speed * simulator.scenario.dt_s).clamp(min=1e-3)
+        return (beyond / driven).amin(1).double().clamp(0.0, 0.999)
+
+
+def best_simple(rollouts: Rollouts, tasks: Task) -> Sequences:
+    """[N]: the best of each task's sequences of no switch or one, where the search starts."""
+    fixed = torch.arange(rollouts.n_actions, device=tasks.family.device)[:, None].expand(-1, rollouts.n_steps)
+    best = _best(rollouts, tasks, fixed.expand(len(tasks), -1, -1), None)
+    step = torch.arange(rollouts.n_steps, device=fixed.device)
+    for at in SWITCH_STEPS:
+        pairs = torch.where(step < at, fixed[:, None], fixed[None]).flatten(0, 1)
+        found = _best(rollouts, tasks, pairs.expand(len(tasks), -1, -1), best.score)
+        best = where_world(found.score >= best.score, found, best)
+    return best
+
+
+def improve(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, random: Generator) -> Sequences:
+    """One round: [N] the best of each task's `population` candidates and of `best` [N], never worse than that.
+
+    Of equally good ones the candidate stays, so that the search may drift where decisions have no effect.
+    """
+    found = _best(rollouts, tasks, candidates(best, rollouts.n_actions, population, random), best.score)
+    return where_world(found.score >= best.score, found, best)
+
+
+def _best(rollouts: Rollouts, tasks: Task, actions: Tensor, at_least: Tensor | None) -> Sequences:
+    """[N]: the best of each task's `actions` [N, C, T]; those below `at_least` [N] need not be played to the end."""
+    n_tasks, n_each, _ = actions.shape
+    if at_least is None:
+        at_least = torch.full((n_tasks,), -torch.inf, dtype=torch.float64, device=actions.device)
+    each = map_tensors(lambda field: field.repeat_interleave(n_each, 0), (tasks, at_least))
+    played = rollouts.play(each[0], actions.flatten(0, 1), each[1])
+    first = torch.arange(n_tasks, device=actions.device) * n_each
+    rows = first + played.score.reshape(n_tasks, n_each).argmax(1)
+    return map_tensors(lambda field: field[rows], played)
+
+
+def candidates(best: Sequences, n_actions: int, population: int, random: Generator) -> Tensor:
+    """[N, C, T] int64: `best` [N] changed at random, in the decisions that count.
+
+    One or two pieces are written over with one horizon each: that moves, adds and removes switches. Now and then all
+    decisions from some step on come a little earlier or later.
+    """
+    n_steps = best.n_steps[:, None, None]
+    actions = best.actions[:, None].expand(-1, population, -1)
+    once = _write_over(actions, n_steps, n_actions, random)
+    twice = _write_over(once, n_steps, n_actions, random)
+    changed = torch.where(_uniform(actions, random) < SECOND_PIECE_CHANCE, twice, once)
+    return torch.where(_uniform(actions, random) < SHIFT_CHANCE, _shift(changed, n_steps, random), changed)
+
+
+def _write_over(actions: Tensor, n_steps: Tensor, n_actions: int, random: Generator) -> Tensor:
+    """One piece of each sequence gets one horizon; lengths are log-uniform up to `n_steps` [N, 1, 1]."""
+    length = n_steps ** _uniform(actions, random)
+    start = _uniform(actions, random) * (n_steps + length) - length
+    step = torch.arange(actions.shape[2], device=actions.device)
+    horizon = (_uniform(actions, random) * n_actions).long()
+    return torch.where((step >= start) & (step < start + length), horizon, actions)
+
+
+def _shift(actions: Tensor, n_steps: Tensor, random: Generator) -> Tensor:
+    """The decisions from a random step on come up to `MAX_SHIFT_STEPS` steps earlier or later."""
+    by = 1 + (_uniform(actions, random) * MAX_SHIFT_STEPS).long()
+    by = torch.where(_uniform(actions, random) < 0.5, by, -by)
+    first = _uniform(actions, random) * n_steps
+    step = torch.arange(actions.shape[2], device=actions.device)
+    source = torch.where(step < first, step, (step - by).clamp(0, actions.shape[2] - 1))
+    return actions.gather(2, source.expand_as(actions))
+
+
+def _uniform(actions: Tensor, random: Generator) -> Tensor:
+    """[N, C, 1] float32 in [0, 1), one number per candidate."""
+    return torch.rand((*actions.shape[:2], 1), generator=random, device=actions.device)

@@ -1,0 +1,97 @@
+"""What a run computes with: device, compiled or not, how many threads. Chosen once, at the run's first start."""
+
+import ctypes
+import importlib
+import json
+import logging
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from negopipe.env import has_compiler
+from negopipe.errors import UserError
+
+if TYPE_CHECKING:
+    from negopipe.config import RunConfig
+
+log = logging.getLogger("negopipe")
+
+BACKEND_NAME = "backend.json"
+MAX_THREADS = 4
+"""More do not make worlds of this size faster; a machine's other cores are for other runs."""
+
+
+def settle(config: "RunConfig", folder: Path) -> "RunConfig":
+    """The config with every `auto` of device, compile and n_threads replaced by what it stands for.
+
+    The choice is kept in `folder`, so that a run which goes on computes as it began, whatever has changed on the
+    machine: other rounding would make it another run. A value that is given counts as given.
+    """
+    path = folder / BACKEND_NAME
+    is_new = not path.exists()
+    chosen = _choose() if is_new else json.loads(path.read_text())
+    if is_new:
+        path.write_text(json.dumps(chosen, indent=2) + "\n")
+    settled = replace(
+        config,
+        device=chosen["device"] if config.device == "auto" else config.device,
+        compile=chosen["compile"] if config.compile == "auto" else config.compile,
+        n_threads=chosen["n_threads"] if config.n_threads == "auto" else config.n_threads,
+    )
+    _check(settled)
+    how = "compiled (the first step takes up to a minute)" if settled.compile == "on" else "not compiled"
+    since = "" if is_new else ", as when the run began"
+    log.info(f"backend    {settled.device}, {settled.n_threads} threads, simulator {how}{since}")
+    return settled
+
+
+def prepare(config: "RunConfig") -> None:
+    """Set torch up for a settled config."""
+    torch.set_num_threads(int(config.n_threads))
+    keep_freed_memory()
+    if config.compile == "on":
+        _forget_compiled()
+    if config.device == "cuda":
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+        torch.use_deterministic_algorithms(True, warn_only=True)
+        torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
+
+
+def _forget_compiled() -> None:
+    """Make room: a sweep's jobs share a process, and each compiles its own scenario."""
+    dynamo = importlib.import_module("torch._dynamo")  # takes seconds, which only a compiled run should wait for
+    dynamo.reset()
+    dynamo.config.fail_on_recompile_limit_hit = True  # rather than going on uncompiled, many times slower
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep large blocks that are freed, instead of handing them back and fetching them zeroed again.
+
+    Without this, every tensor of some 100 kB costs its page faults anew: four times the whole of an eager plan.
+    """
+    if sys.platform != "linux":
+        return
+    m_trim_threshold, m_mmap_threshold = -1, -3  # malloc.h
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(m_mmap_threshold, 1 << 30)
+        mallopt(m_trim_threshold, (1 << 31) - 1)
+
+
+def _choose() -> dict[str, Any]:
+    return {
+        "device": "cuda" if torch.cuda.is_available() else "cpu",
+        "compile": "on" if has_compiler() else "off",
+        "n_threads": min(MAX_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1),
+    }
+
+
+def _check(config: "RunConfig") -> None:
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise UserError("device must be auto or cpu on a machine without CUDA, got cuda")
+    if config.device == "cpu" and config.compile == "on" and not has_compiler():
+        raise UserError("compile must be off (or auto, for a new run) where no C++ compiler is found, got on")

@@ -1,0 +1,132 @@
+"""The oracle's search: exact where all sequences can be played, never worse, repeatable, and it drives what it says."""
+
+from dataclasses import replace
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+import torch
+from games import draw_tasks
+
+from negopipe.config import RunConfig
+from negopipe.env import Game
+from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.oracle import Rollouts, Sequences, best_simple, candidates, improve
+from negopipe.evaluation.planners import sequence_planner
+from negopipe.simulation.state import Task, map_tensors
+
+POPULATION = 4
+
+
+@pytest.fixture(scope="module")
+def rollouts(config: RunConfig, game: Game) -> Rollouts:
+    return Rollouts(game, config.policy.horizons_s, config.evaluation.reward)
+
+
+def searched(rollouts: Rollouts, tasks: Task, rounds: int) -> list[Sequences]:
+    """The best at the start and after each round."""
+    random = torch.Generator().manual_seed(0)
+    found = [best_simple(rollouts, tasks)]
+    for _ in range(rounds):
+        found.append(improve(rollouts, tasks, found[-1], POPULATION, random))
+    return found
+
+
+@pytest.fixture(scope="module")
+def tasks(config: RunConfig) -> Task:
+    return draw_tasks(config, 2, seed=1)
+
+
+@pytest.fixture(scope="module")
+def found(rollouts: Rollouts, tasks: Task) -> list[Sequences]:
+    return searched(rollouts, tasks, rounds=2)
+
+
+def none_given_up(n: int) -> torch.Tensor:
+    return torch.full((n,), -torch.inf, dtype=torch.float64)
+
+
+def test_no_round_makes_it_worse(found: list[Sequences], rollouts: Rollouts, tasks: Task) -> None:
+    for horizon in range(rollouts.n_actions):
+        fixed = torch.full((len(tasks), rollouts.n_steps), horizon)
+        assert (found[0].reward >= rollouts.play(tasks, fixed, none_given_up(len(tasks))).reward).all()
+    for before, after in pairwise(found):
+        assert (after.score >= before.score).all()
+        assert (after.reward >= before.reward).all()
+    assert (found[-1].score > found[0].score).any()
+
+
+def test_same_seed_same_result(found: list[Sequences], rollouts: Rollouts, tasks: Task) -> None:
+    again = searched(rollouts, tasks, rounds=1)[-1]
+    assert torch.equal(again.score, found[1].score)
+    assert torch.equal(again.actions, found[1].actions)
+    one, same, other = (candidates(found[0], 4, 3, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1))
+    assert torch.equal(one, same)
+    assert not torch.equal(one, other)
+
+
+def test_it_drives_what_it_claims(config: RunConfig, game: Game, found: list[Sequences], tasks: Task) -> None:
+    best = found[-1]
+    horizon_s = torch.tensor(config.policy.horizons_s)[best.actions.T]
+    names = ("oracle", "mixture")
+    trace = drive_episodes(game, sequence_planner(horizon_s), tasks, len(tasks), config.evaluation.reward, names)
+    assert trace.reward.sum(0).tolist() == best.reward.tolist()
+    assert trace.n_steps.tolist() == best.n_steps.tolist()
+    for task, n in enumerate(trace.n_steps):
+        assert np.array_equal(trace.horizon_s[:n, task, 0], horizon_s[:n, task])
+
+
+def test_the_score_orders_as_the_return_does(found: list[Sequences]) -> None:
+    for each in found:
+        assert ((each.score >= each.reward) & (each.score < each.reward + 0.25)).all()
+
+
+class Held(Rollouts):
+    """Three decisions per episode, each held for 3 s and the last one to the end, so that all can be played."""
+
+    n_held = 15
+
+    def __init__(self, config: RunConfig, game: Game) -> None:
+        super().__init__(game, config.policy.horizons_s, config.evaluation.reward)
+        self.n_drive_steps, self.n_steps = self.n_steps, 3
+
+    def play(self, tasks: Task, actions: torch.Tensor, at_least: torch.Tensor) -> Sequences:
+        which = (torch.arange(self.n_drive_steps) // self.n_held).clamp(max=self.n_steps - 1)
+        played = super().play(tasks, actions[:, which], at_least)
+        n_decisions = (played.n_steps / self.n_held).ceil().long().clamp(max=self.n_steps)
+        return replace(played, actions=actions, n_steps=n_decisions)
+
+
+def test_it_finds_the_best_of_all_sequences(config: RunConfig, game: Game, tasks: Task) -> None:
+    rollouts = Held(config, game)
+    one = map_tensors(lambda field: field[:1], tasks)
+    every = torch.tensor(list(product(range(4), repeat=3)))
+    found = searched(rollouts, one, rounds=24)
+    each = map_tensors(lambda field: field.repeat_interleave(len(every), 0), one)
+    exact = rollouts.play(each, every, found[0].score.repeat(len(every))).score.amax()
+    assert exact > found[0].score + 0.25
+    assert found[-1].score.item() == pytest.approx(exact.item(), abs=1e-3)
+
+
+def test_giving_up_loses_nothing_that_counts(rollouts: Rollouts, found: list[Sequences], tasks: Task) -> None:
+    best = found[0]
+    tried = candidates(best, rollouts.n_actions, 1, torch.Generator().manual_seed(5))[:, 0]
+    whole = rollouts.play(tasks, tried, none_given_up(len(tasks)))
+    hurried = rollouts.play(tasks, tried, best.score)
+    counts = whole.score >= best.score
+    assert torch.equal(hurried.score[counts], whole.score[counts])
+    assert (hurried.n_steps <= whole.n_steps).all()
+    too_much = rollouts.play(tasks, tried, torch.full((len(tasks),), 10.0, dtype=torch.float64))
+    assert too_much.n_steps.tolist() == [1, 1]
+    assert too_much.score.tolist() == [-np.inf] * 2
+
+
+def test_candidates_change_decisions_that_count(rollouts: Rollouts, found: list[Sequences]) -> None:
+    best = found[0]
+    tried = candidates(best, rollouts.n_actions, 400, torch.Generator().manual_seed(0))
+    assert tried.shape == (2, 400, rollouts.n_steps)
+    assert set(tried.unique().tolist()) == {0, 1, 2, 3}
+    is_changed = tried != best.actions[:, None]
+    for task, n in enumerate(best.n_steps.tolist()):
+        assert is_changed[task, :, :n].any(0).all()
+        assert is_changed[task, :, :n].any(1).float().mean() > 0.6  # a piece may get the horizon that it had
