@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from negopipe.env import NegotiationEnv, build_game, wants_compile
+from negopipe.env import NegotiationEnv, build_game, has_compiler
 from negopipe.gym_env import compose_config
 from negopipe.reward import RewardConfig
 from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
@@ -26,7 +26,7 @@ N_STEPS = -(-N_DECISIONS // N_WORLDS)
 def test_the_world_stays_sound() -> None:
     config = compose_config()
     families = config.scenario.families
-    game = build_game(config, is_compiled=wants_compile("auto"))
+    game = build_game(config, is_compiled=has_compiler())
     sampler = TaskSampler(config.scenario, families, torch.Generator().manual_seed(0))
     env = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, N_WORLDS)
     actions = torch.Generator().manual_seed(1)
