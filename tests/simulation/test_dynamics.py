@@ -66,13 +66,14 @@ def test_a_command_acts_exactly_so_many_steps_later(steps: int) -> None:
     torch.testing.assert_close(state.speed, prompt.actuate(one(3.0), first).speed)
 
 
-def test_without_lags_it_follows_the_plan_within_8_cm(config: RunConfig) -> None:
+def test_without_lags_it_stays_near_its_plan(config: RunConfig) -> None:
     game = build_game(replace(config, dynamics=AT_ONCE))
     world = game.simulator.reset(draw_tasks(config, 4))
     for _ in range(45):
         wanted = game.plan(game.perceive(world), torch.zeros(4, 2)).state
         world, _ = game.simulator.step(world, wanted)
-        assert float((world.vehicles.position - wanted.position).norm(dim=-1).max()) < 0.08
+        # the acceleration wanted at the step's end, at once and for the whole step, runs ahead of the plan
+        assert float((world.vehicles.position - wanted.position).norm(dim=-1).max()) < 0.25
 
 
 def test_a_late_noisy_episode_stays_finite() -> None:
@@ -86,3 +87,24 @@ def test_a_late_noisy_episode_stays_finite() -> None:
         assert world.vehicles.position.isfinite().all()
         assert (world.vehicles.speed >= 0).all()
     assert not game.simulator.reset(draw_tasks(c, 2)).command_queue.any()
+
+
+def test_gains_act() -> None:
+    wanted = replace(one(3.2), position=torch.tensor([[[0.9, 0.2]]]), yaw=torch.full((1, 1), 0.1))
+    base = Bicycle(AT_ONCE, 0.2).command(one(3.0), wanted)
+    for gain, column in (
+        ("position_gain_1ps2", 0),
+        ("speed_gain_1ps", 0),
+        ("heading_gain_1pm", 1),
+        ("lateral_gain_1pm2", 1),
+    ):
+        more = Bicycle(replace(AT_ONCE, **{gain: 2 * getattr(AT_ONCE, gain)}), 0.2).command(one(3.0), wanted)
+        assert float(more[0, 0, column]) > float(base[0, 0, column]) > 0
+
+
+def test_a_car_that_lost_its_plan_plans_anew_from_where_it_is() -> None:
+    queue = torch.zeros(1, 0, 1, 2)
+    for away, is_lost in ((0.5, False), (1.5, True)):
+        wanted = replace(one(0.0), position=torch.tensor([[[away, 0.0]]]))
+        moved, reference, _ = Bicycle(replace(AT_ONCE, position_gain_1ps2=0.0), 0.2).move(one(0.0), wanted, queue)
+        assert torch.equal(reference.position, moved.position if is_lost else wanted.position)

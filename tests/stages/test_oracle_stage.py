@@ -26,7 +26,7 @@ TINY = (
 
 
 def tiny(*overrides: str) -> RunConfig:
-    return compose_config([*TINY, *overrides])
+    return compose_config(["device=cpu", *TINY, *overrides])
 
 
 class Run:
