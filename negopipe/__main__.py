@@ -12,7 +12,7 @@ import sys
 import tempfile
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -25,9 +25,6 @@ from yaml import YAMLError
 from negopipe import CONF
 from negopipe.config_errors import explain_composition
 from negopipe.errors import UserError
-
-if TYPE_CHECKING:
-    pass
 
 log = logging.getLogger("negopipe")
 

@@ -13,7 +13,7 @@ PACKAGE = Path(negopipe.__file__).parent
 FLOORS = (
     ("errors", "schema", "config_errors", "seeding", "stored"),
     ("simulation.state", "simulation.geometry"),
-    ("simulation.reference_line", "simulation.roadside"),
+    ("simulation.reference_line", "simulation.verge"),
     (
         "simulation.road",
         "simulation.scenario",

@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import torch
+from pydantic import model_validator
 from torch import Tensor
 
 from negopipe.planner.lateral import LateralCandidates, LateralConfig
@@ -41,16 +42,27 @@ class LimitConfig:
 class ClearanceConfig:
     """Margins that the planner keeps; true collisions are the simulator's matter.
 
+    parked_near_m: to kerbs and parked cars, right where the vehicle is; it grows along the path to parked_m, reached
+        parked_full_at_m ahead. What was drivable from afar so stays drivable from near, small errors included
+        (constraint tightening, Richards & How 2006), and a vehicle can leave wherever it could stop
     beside_s: more room beside a vehicle, per m/s of its speed: who waits for a moving vehicle leaves it more room
         than it needs to creep past a standing one, so that a waiting place is one that can be passed
     """
 
     parked_m: NonNegativeFloat
+    parked_near_m: NonNegativeFloat
+    parked_full_at_m: PositiveFloat
     ahead_m: NonNegativeFloat
     beside_m: NonNegativeFloat
     beside_s: NonNegativeFloat
     station_m: PositiveFloat
     conflict_station_m: PositiveFloat
+
+    @model_validator(mode="after")
+    def _grows(self) -> "ClearanceConfig":
+        if self.parked_near_m > self.parked_m:
+            raise ValueError(f"parked_near_m {self.parked_near_m} must be at most parked_m {self.parked_m}")
+        return self
 
 
 @schema
@@ -111,10 +123,10 @@ class FrenetPlanner:
         self.times = torch.arange(1, n_times + 1, device=device) * dt_s
         self.longitudinal = LongitudinalCandidates(config.longitudinal, self.times)
         self.lateral = LateralCandidates(config.lateral, road, device)
-        self.roadside = Roadside(road, vehicle, config.clearance.parked_m)
         reach = config.limits.speed_max_mps * config.horizon_s
         n_stations = int(reach / config.clearance.station_m) + 1
         self.stations = torch.arange(1, n_stations + 1, device=device) * config.clearance.station_m
+        self.roadside = Roadside(road, vehicle, _parked_clearance(config.clearance, self.stations))
         self._around = _stations_around(config, vehicle).to(device)  # [K] m
 
     @property
@@ -293,6 +305,12 @@ def _conflicts(travelled: Tensor, first: Tensor, last: Tensor) -> Tensor:
 
 def _flatten(field: Tensor) -> Tensor:
     return field.flatten(0, 1)
+
+
+def _parked_clearance(config: ClearanceConfig, ahead: Tensor) -> Tensor:
+    """[S] m, to be kept from kerbs and parked cars at points so far ahead."""
+    share = (ahead / config.parked_full_at_m).clamp(max=1)
+    return config.parked_near_m + (config.parked_m - config.parked_near_m) * share
 
 
 def _stations_around(config: PlannerConfig, vehicle: VehicleConfig) -> Tensor:

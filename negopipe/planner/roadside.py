@@ -24,17 +24,19 @@ class ParkedRow(NamedTuple):
 
 
 class Roadside:
-    """Checks footprints, grown by a clearance, against kerbs and parked cars.
+    """Checks footprints, grown by clearances, against kerbs and parked cars.
+
+    clearance_m: [S] m, one for every station at which a path is checked
 
     Nobody fits between a parked car and its kerb, so a footprint is clear of the car if, all along it, its border
     lies on the road's side of the car's inner side.
     """
 
-    def __init__(self, road: Road, vehicle: VehicleConfig, clearance_m: float) -> None:
+    def __init__(self, road: Road, vehicle: VehicleConfig, clearance_m: Tensor) -> None:
         self.road = road
-        self.half_length = vehicle.length_m / 2 + clearance_m
-        self.half_width = vehicle.width_m / 2 + clearance_m
-        self.rows = _rows(road, 2 * self.half_width)
+        self.half_length = vehicle.length_m / 2 + clearance_m[:, None]  # [S, 1]
+        self.half_width = vehicle.width_m / 2 + clearance_m[:, None]
+        self.rows = _rows(road, vehicle.width_m + 2 * float(clearance_m.min()))
 
     def excess(self, s: Tensor, direction: Tensor, d: Tensor, slope: Tensor) -> Tensor:
         """[L, S, N] m: how far a footprint reaches over a kerb or into a parked car; positive where it does.

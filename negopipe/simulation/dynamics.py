@@ -34,9 +34,8 @@ class BicycleConfig:
     steer_time_constant_s: PositiveFloat
     actuation_delay_s: NonNegativeFloat
     n_substeps: PositiveInt
-    speed_gain_1ps: NonNegativeFloat
     position_gain_1ps2: NonNegativeFloat
-    heading_gain_1pm: NonNegativeFloat
+    heading_distance_m: PositiveFloat
     lateral_gain_1pm2: NonNegativeFloat
     replan_distance_m: PositiveFloat
 
@@ -114,7 +113,8 @@ class Bicycle:
     def command(self, vehicles: VehicleState, wanted: VehicleState) -> Tensor:
         """[E, V, 2] float32: acceleration (m/s2) and steering angle (rad) that lead to the state wanted.
 
-        What the plan does, corrected by how far off the pose and the speed wanted a vehicle would come with it.
+        In one step the speed and, at driving speed, the heading wanted are reached but for the actuators' lag,
+        which is led; then the pose is corrected by how far off the vehicle would come on the arc wanted.
         """
         travelled = (vehicles.speed + wanted.speed) / 2 * self.dt_s
         position, yaw = _along_arc(vehicles.position, vehicles.yaw, wanted.curvature, travelled)
@@ -122,10 +122,11 @@ class Bicycle:
         ahead = off[..., 0] * torch.cos(yaw) + off[..., 1] * torch.sin(yaw)
         left = off[..., 1] * torch.cos(yaw) - off[..., 0] * torch.sin(yaw)
         gains = self.config
-        accel = wanted.accel + gains.speed_gain_1ps * (wanted.speed - vehicles.speed)
-        accel = accel + gains.position_gain_1ps2 * ahead
-        curvature = wanted.curvature + gains.lateral_gain_1pm2 * left
-        curvature = curvature + gains.heading_gain_1pm * wrap_angle(wanted.yaw - yaw)
+        accel_lead = gains.accel_time_constant_s * (wanted.accel - vehicles.accel)
+        accel = (wanted.speed - vehicles.speed + accel_lead) / self.dt_s + gains.position_gain_1ps2 * ahead
+        curvature_lead = gains.steer_time_constant_s * (wanted.curvature - vehicles.curvature) / self.dt_s
+        turn = wrap_angle(wanted.yaw - yaw) / travelled.clamp(min=gains.heading_distance_m)
+        curvature = wanted.curvature + curvature_lead + turn + gains.lateral_gain_1pm2 * left
         return torch.stack([accel, torch.atan(gains.wheelbase_m * curvature)], dim=-1)
 
     def actuate(self, vehicles: VehicleState, command: Tensor) -> VehicleState:

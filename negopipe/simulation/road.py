@@ -10,7 +10,7 @@ from torch import Tensor
 from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
 from negopipe.simulation.geometry import Boxes, smoothstep, wrap_angle
 from negopipe.simulation.reference_line import BendConfig, ReferenceLine, check_bends
-from negopipe.simulation.roadside import beyond_kerbs
+from negopipe.simulation.verge import beyond_kerbs
 from negopipe.simulation.state import VehicleState
 
 KERB_STEP_M = 0.5

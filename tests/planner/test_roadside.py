@@ -17,6 +17,7 @@ from negopipe.env import build_game
 from negopipe.gym_env import compose_config
 from negopipe.planner.roadside import Roadside
 from negopipe.simulation.geometry import overlap_depth
+from negopipe.simulation.road import Road
 
 OFF_M = 0.05
 """By how much a footprint must be deeper than 0 for the planner to know, on a bent road."""
@@ -42,7 +43,7 @@ def touches(roadside: Roadside, at: Places, grown_m: float) -> Tensor:
     """[N] bool: a footprint with its clearance and `grown_m` on every side meets a parked car or a kerb."""
     road = roadside.road
     tan = at.slope / (1 - road.curvature(at.s, at.direction)[0] * at.d)
-    length, width = (2 * (half + grown_m) for half in (roadside.half_length, roadside.half_width))
+    length, width = (2 * (float(half) + grown_m) for half in (roadside.half_length, roadside.half_width))
     boxes = world_boxes(road, at.s, at.direction, at.d, tan, length, width)
     columns = boxes._replace(**{name: getattr(boxes, name)[:, None] for name in ("x", "y", "cos", "sin")})
     return road.is_off_road(boxes) | (overlap_depth(columns, road.parked_boxes()) > 0).any(-1)
@@ -59,8 +60,9 @@ def touches(roadside: Roadside, at: Places, grown_m: float) -> Tensor:
     ],
 )
 def test_excess_tells_who_touches_the_roadside(scenario: str, n: int, optimistic_m: float, careful_m: float) -> None:
-    planner = build_game(compose_config([f"scenario={scenario}"])).planner
-    roadside, at = planner.roadside, draw_places(n, planner.road.config.corridor_length_m)
+    config = compose_config([f"scenario={scenario}"])
+    roadside = Roadside(Road(config.scenario.road), config.scenario.vehicle, torch.tensor([0.2]))
+    at = draw_places(n, config.scenario.road.corridor_length_m)
     excess = roadside.excess(at.s[None], at.direction, at.d[None, None], at.slope[None, None])[0, 0]
     is_refused = excess > 0
     assert 0.3 < float(is_refused.float().mean()) < 0.9

@@ -13,7 +13,7 @@ from negopipe.gym_env import compose_config
 from negopipe.simulation.dynamics import Bicycle, BicycleConfig
 from negopipe.simulation.state import VehicleState
 
-AT_ONCE = BicycleConfig("bicycle", 2.7, 35.0, 1e5, 1e-4, 1e-4, 0.0, 4, 2.0, 1.0, 0.5, 0.2, 1.0)
+AT_ONCE = BicycleConfig("bicycle", 2.7, 35.0, 1e5, 1e-4, 1e-4, 0.0, 4, 1.0, 0.5, 0.2, 1.0)
 
 
 def one(speed: float, curvature: float = 0.0) -> VehicleState:
@@ -72,8 +72,7 @@ def test_without_lags_it_stays_near_its_plan(config: RunConfig) -> None:
     for _ in range(45):
         wanted = game.plan(game.perceive(world), torch.zeros(4, 2)).state
         world, _ = game.simulator.step(world, wanted)
-        # the acceleration wanted at the step's end, at once and for the whole step, runs ahead of the plan
-        assert float((world.vehicles.position - wanted.position).norm(dim=-1).max()) < 0.25
+        assert float((world.vehicles.position - wanted.position).norm(dim=-1).max()) < 0.03
 
 
 def test_a_late_noisy_episode_stays_finite() -> None:
@@ -94,8 +93,6 @@ def test_gains_act() -> None:
     base = Bicycle(AT_ONCE, 0.2).command(one(3.0), wanted)
     for gain, column in (
         ("position_gain_1ps2", 0),
-        ("speed_gain_1ps", 0),
-        ("heading_gain_1pm", 1),
         ("lateral_gain_1pm2", 1),
     ):
         more = Bicycle(replace(AT_ONCE, **{gain: 2 * getattr(AT_ONCE, gain)}), 0.2).command(one(3.0), wanted)

@@ -1,0 +1,46 @@
+"""Who stopped can drive on: what was drivable from afar stays so from near, small errors of tracking included."""
+
+import torch
+from games import place
+
+from negopipe.config import RunConfig
+from negopipe.env import build_game
+from negopipe.gym_env import compose_config
+from negopipe.simulation.road import RouteState
+from negopipe.simulation.scenario import TaskSampler
+from negopipe.simulation.state import EGO, map_tensors
+
+WIDE_SWERVE = "scenario.road.swerve_length_m=12"
+
+
+def pushed(config: RunConfig, n: int) -> TaskSampler:
+    families = {"push": config.scenario.families["push"]}
+    return TaskSampler(config.scenario, families, torch.Generator().manual_seed(n))
+
+
+def test_a_car_that_lags_behind_its_plan_leaves_the_place_where_it_waited() -> None:
+    config = compose_config(["dynamics=bicycle", WIDE_SWERVE])
+    game = build_game(config)
+    world = game.simulator.reset(pushed(config, 48).draw(48))
+    horizon = torch.tensor([[0.0, 6.0]]).expand(48, 2)
+    for _ in range(config.scenario.episode_steps):
+        world, _ = game.drive(world, horizon)
+    assert world.has_reached.all()
+    assert not world.has_collided.any()
+
+
+def test_a_car_at_rest_beside_the_kerb_with_its_wheels_turned_drives_on() -> None:
+    # 0.2 m from the kerb; turned to the left, its tail swings out to the right by a few centimetres
+    config = compose_config([WIDE_SWERVE])
+    game = build_game(config)
+    world = game.simulator.reset(pushed(config, 1).draw(1))
+    there = torch.tensor([-9.0])
+    rest = RouteState(there, there * 0, there * 0, there * 0 - 2.152, there * 0 + 0.085, there * 0 + 0.117)
+    ego = game.simulator.road.to_world(rest, world.task.direction[:, EGO])
+    vehicles = map_tensors(lambda all_, one: all_.index_copy(1, torch.tensor([EGO]), one[:, None]), world.vehicles, ego)
+    world = place(world, vehicles)
+    for _ in range(15):
+        motion = game.plan(game.perceive(world), torch.zeros(1, 2))
+        world, _ = game.simulator.step(world, motion.state)
+    assert float(world.vehicles.speed[0, EGO]) > 2
+    assert not world.has_collided[0, EGO]
