@@ -3,41 +3,101 @@
 A compiled function is compiled for one shape; in chunks it serves any number of worlds with one compilation, its
 intermediate tensors stay in the cache, memory does not grow with the number of worlds, and what a world does cannot
 depend on how many others are computed beside it.
+
+A world has dozens of tensors, and to hand over each of them costs as much as to compute with them. So they travel as
+columns of one table per dtype; a chunk is some of the rows.
 """
 
+import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from negopipe.simulation.state import first_tensor, map_tensors
+from negopipe.simulation.state import map_tensors, tensors
+
+Tables = tuple[Tensor, ...]
+"""[E, columns] each, one per dtype."""
+
+
+class _Columns(NamedTuple):
+    """Where a tensor stands: the index of its table, the first column and the one after the last; its shape."""
+
+    table: int
+    first: int
+    last: int
+    shape: tuple[int, ...]
+
+
+class Layout:
+    """How the tensors of `example`, all [E, ...], stand in tables: a tensor, tensor dataclass or tuple of such."""
+
+    def __init__(self, example: Any) -> None:
+        leaves = tensors(example)
+        self._empty = map_tensors(lambda leaf: leaf[:0], example)
+        self._dtypes = list(dict.fromkeys(leaf.dtype for leaf in leaves))
+        n_columns = [0] * len(self._dtypes)
+        self._columns: list[_Columns] = []
+        for leaf in leaves:
+            table, shape = self._dtypes.index(leaf.dtype), tuple(leaf.shape[1:])
+            first = n_columns[table]
+            n_columns[table] += math.prod(shape)
+            self._columns.append(_Columns(table, first, n_columns[table], shape))
+
+    def pack(self, tree: Any) -> Tables:
+        """The tensors of `tree`, which looks like the example but for E."""
+        parts: list[list[Tensor]] = [[] for _ in self._dtypes]
+        for leaf, at in zip(tensors(tree), self._columns, strict=True):
+            parts[at.table].append(leaf.reshape(len(leaf), at.last - at.first))
+        return tuple(columns[0] if len(columns) == 1 else torch.cat(columns, dim=1) for columns in parts)
+
+    def unpack(self, tables: Tables) -> Any:
+        """The tree again; its tensors are views."""
+        n = len(tables[0])
+        leaves = iter([tables[at.table][:, at.first : at.last].reshape(n, *at.shape) for at in self._columns])
+        return map_tensors(lambda _: next(leaves), self._empty)
 
 
 class InChunks:
     """`fn`, called on `size` worlds at a time.
 
     fn: maps tensors, tensor dataclasses or tuples of them to such; axis 0 of every tensor is the worlds
-    is_filled: the last chunk is filled up with copies of its last world, so that all have one shape
+    compiler: None = `fn` is called as it is. Else what compiles a function of tables; its last chunk is filled up
+        with copies of its last world, so that all chunks have one shape
     """
 
-    def __init__(self, fn: Callable[..., Any], size: int, is_filled: bool) -> None:
-        self.fn, self.size, self.is_filled = fn, size, is_filled
+    def __init__(self, fn: Callable[..., Any], size: int, compiler: Callable[[Callable], Callable] | None) -> None:
+        self.fn, self.size, self.compiler = fn, size, compiler
+        self._on_tables: dict[tuple, tuple[Layout, Layout, Callable[..., Tables]]] = {}
 
     def __call__(self, *args: Any) -> Any:
-        n_worlds = len(first_tensor(args))
-        pieces = [self.fn(*self._rows(args, start, n_worlds)) for start in range(0, n_worlds, self.size)]
-        return map_tensors(lambda *parts: _joined(parts, n_worlds), *pieces)
+        leaves = tensors(args)
+        signature = tuple((leaf.dtype, leaf.shape[1:]) for leaf in leaves)
+        if signature not in self._on_tables:
+            self._on_tables[signature] = self._prepare(args)
+        taken, given, fn = self._on_tables[signature]
+        tables, n_worlds = taken.pack(args), len(leaves[0])
+        pieces = [fn(*self._rows(tables, start)) for start in range(0, n_worlds, self.size)]
+        return given.unpack(tuple(_joined(parts, n_worlds) for parts in zip(*pieces, strict=True)))
 
-    def _rows(self, args: tuple, start: int, n_worlds: int) -> tuple:
-        """Contiguous chunks, so that every call looks the same to a compiled function."""
-        stop = start + self.size
-        if stop <= n_worlds or not self.is_filled:
-            return map_tensors(lambda field: field[start:stop].contiguous(), args)
-        rows = torch.arange(start, stop).clamp(max=n_worlds - 1)
-        return map_tensors(lambda field: field[rows.to(field.device)], args)
+    def _prepare(self, args: Any) -> tuple[Layout, Layout, Callable[..., Tables]]:
+        """Layouts of what `fn` takes and gives, found by calling it once, and `fn` from tables to tables."""
+        taken = Layout(args)
+        given = Layout(self.fn(*map_tensors(lambda leaf: leaf[:1], args)))
+
+        def on_tables(*tables: Tensor) -> Tables:
+            return given.pack(self.fn(*taken.unpack(tables)))
+
+        return taken, given, self.compiler(on_tables) if self.compiler else on_tables
+
+    def _rows(self, tables: Tables, start: int) -> Tables:
+        n_missing = start + self.size - len(tables[0])
+        if n_missing <= 0 or not self.compiler:
+            return tuple(table[start : start + self.size] for table in tables)
+        return tuple(torch.cat([table[start:], table[-1:].expand(n_missing, -1)]) for table in tables)
 
 
-def _joined(parts: tuple[Tensor, ...], n_worlds: int) -> Tensor:
+def _joined(parts: Tables, n_worlds: int) -> Tensor:
     whole = parts[0] if len(parts) == 1 else torch.cat(parts)
     return whole if len(whole) == n_worlds else whole[:n_worlds].clone()

@@ -1,6 +1,5 @@
 """Driving evaluation episodes and writing down what happened."""
 
-from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import numpy as np
@@ -43,8 +42,7 @@ def drive_episodes(
 ) -> Trace:
     """Let the ego drive all `tasks` with `choose_horizon`, `n_worlds` at a time.
 
-    Outcomes do not depend on `n_worlds`: worlds do not know of each other. The last batch is filled up with
-    repeated tasks that are not recorded, so that a compiled game meets one number of worlds only.
+    Outcomes do not depend on `n_worlds`: worlds do not know of each other.
 
     reward_config: what the report counts, whatever the policy was trained with
     names: (planner, family) for the record
@@ -52,7 +50,10 @@ def drive_episodes(
     ego = HorizonDriver(choose_horizon, game.plan)
     social = HorizonDriver(own_style, game.plan)
     drivers: list[Driver] = [ego, *[social] * game.simulator.scenario.n_social]
-    parts = [_record(game, drivers, batch, reward_config, n_kept) for batch, n_kept in _batches(tasks, n_worlds)]
+    batches = [
+        map_tensors(lambda field, i=first: field[i : i + n_worlds], tasks) for first in range(0, len(tasks), n_worlds)
+    ]
+    parts = [_record(game, drivers, batch, reward_config) for batch in batches]
     joined = {name: np.concatenate([part[name] for part in parts], axis=_EPISODE_AXIS[name]) for name in parts[0]}
     return Trace(planner=names[0], family=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
 
@@ -64,17 +65,8 @@ _EPISODE_AXIS = {
 }  # fmt: skip
 
 
-def _batches(tasks: Task, n_worlds: int) -> Iterator[tuple[Task, int]]:
-    for start in range(0, len(tasks), n_worlds):
-        n_kept = min(n_worlds, len(tasks) - start)
-        index = torch.arange(start, start + n_worlds, device=tasks.family.device) % len(tasks)
-        yield map_tensors(lambda field, i=index: field[i], tasks), n_kept
-
-
-def _record(
-    game: Game, drivers: list[Driver], tasks: Task, reward_config: RewardConfig, n_kept: int
-) -> dict[str, np.ndarray]:
-    """Fields of `Trace` for the first `n_kept` of `tasks`."""
+def _record(game: Game, drivers: list[Driver], tasks: Task, reward_config: RewardConfig) -> dict[str, np.ndarray]:
+    """Fields of `Trace`."""
     world = game.simulator.reset(tasks)
     is_running = torch.ones(len(tasks), dtype=torch.bool, device=tasks.family.device)
     states, decisions = [_state_row(game, world)], []
@@ -100,7 +92,7 @@ def _record(
     rows["n_steps"] = world.step
     rows["reached_step"] = _first_time(rows.pop("has_reached"))
     rows |= {"start_distance_m": tasks.start_distance, "style_horizon_s": tasks.style_horizon}
-    return {name: _keep(value, n_kept, _EPISODE_AXIS[name]) for name, value in rows.items()}
+    return {name: value.cpu().numpy() for name, value in rows.items()}
 
 
 def _state_row(game: Game, world: World) -> dict[str, Tensor]:
@@ -147,7 +139,3 @@ def _stands_nose_to_nose(speed: Tensor, world: World, game: Game) -> Tensor:
 def _first_time(has_reached: Tensor) -> Tensor:
     """[T+1, E, V] bool -> [E, V] int64, the first index that is true, -1 where none is."""
     return torch.where(has_reached.any(0), has_reached.int().argmax(0), -1)
-
-
-def _keep(value: Tensor, n_kept: int, axis: int) -> np.ndarray:
-    return value.narrow(axis, 0, n_kept).cpu().numpy()

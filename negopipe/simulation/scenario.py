@@ -1,7 +1,8 @@
 """Tasks: which vehicles start where, how fast, and in which driving style."""
 
+import math
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import torch
 from pydantic import Field, model_validator
@@ -97,6 +98,24 @@ def pair_styles(families: Families, pairing: str) -> Families:
     return {**families, **swapped}
 
 
+class _Tables(NamedTuple):
+    """What F families draw from, by the index of the family.
+
+    until: [F] float32, cumulative shares of the families
+    distance, switch_time, patience: [F, 2] float32, intervals; m, s, s; (inf, inf) for never
+    styles, next_styles: [F, K] float32, s, filled up; n_styles, n_next_styles: [F], how many of them count
+    """
+
+    until: Tensor
+    distance: Tensor
+    switch_time: Tensor
+    patience: Tensor
+    styles: Tensor
+    n_styles: Tensor
+    next_styles: Tensor
+    n_next_styles: Tensor
+
+
 class TaskSampler:
     """Draws tasks from a mixture of families with a generator of its own.
 
@@ -110,57 +129,80 @@ class TaskSampler:
         self.scenario = scenario
         self.families = pair_styles(families, scenario.pairing)
         self.generator = generator
+        self._tables = _tabulate(list(self.families.values()), generator.device)
 
     def draw(self, n: int) -> Task:
         """`n` tasks, on the generator's device."""
-        scenario, families = self.scenario, list(self.families.values())
-        switches = [family.style_switch for family in families]
-        n_vehicles = 1 + scenario.n_social
-        weights = torch.tensor([family.weight for family in families], device=self.generator.device)
-        family = torch.multinomial(weights, n, replacement=True, generator=self.generator)
-        low, high = torch.tensor([f.start_distance_m for f in families], device=family.device)[family].T
-        first = low + (high - low) * self._uniform(n)
-        behind = torch.arange(scenario.n_social, device=family.device) * scenario.social_spacing_m
-        ego = self._between(scenario.ego_start_distance_m, n, 1)
+        scenario, tables, n_social = self.scenario, self._tables, self.scenario.n_social
+        n_vehicles = 1 + n_social
+        widths = [1, 1, 1, 1, n_vehicles, n_vehicles, n_social, n_social, n_social, n_social]
+        chances = torch.rand(n, sum(widths), generator=self.generator, device=self.generator.device)
+        which, noise, ego, first, start, desired, style, next_style, switch, patience = chances.split(widths, dim=1)
+        family = torch.searchsorted(tables.until, which[:, 0].contiguous(), right=True).clamp(max=len(tables.until) - 1)
+        behind = torch.arange(n_social, device=family.device) * scenario.social_spacing_m
+        social = _between_each(tables.distance[family], first) + behind
         direction = -torch.ones(n, n_vehicles, device=family.device)
         direction[:, EGO] = 1
         return Task(
-            start_distance=torch.cat([ego, first[:, None] + behind], dim=1),
-            start_speed=self._between(scenario.start_speed_mps, n, n_vehicles),
-            desired_speed=self._between(scenario.desired_speed_mps, n, n_vehicles),
-            style_horizon=self._styles(family, [f.style_horizon_s for f in families]),
-            next_style_horizon=self._styles(family, [s.style_horizon_s if s else [torch.nan] for s in switches]),
-            switch_time=self._times(family, [s.at_s if s else None for s in switches]),
-            patience=self._times(family, [s.stuck_s if s else None for s in switches]),
+            start_distance=torch.cat([_between(scenario.ego_start_distance_m, ego), social], dim=1),
+            start_speed=_between(scenario.start_speed_mps, start),
+            desired_speed=_between(scenario.desired_speed_mps, desired),
+            style_horizon=_with_ego(torch.nan, _one_of(tables.styles, tables.n_styles, family, style)),
+            next_style_horizon=_with_ego(
+                torch.nan, _one_of(tables.next_styles, tables.n_next_styles, family, next_style)
+            ),
+            switch_time=_with_ego(torch.inf, _between_each(tables.switch_time[family], switch)),
+            patience=_with_ego(torch.inf, _between_each(tables.patience[family], patience)),
             direction=direction,
-            noise_seed=torch.randint(2**31, (n,), generator=self.generator, device=family.device),
+            noise_seed=(noise[:, 0] * 2**24).long(),  # 24 bits is what a random float32 has
             family=family,
         )
 
-    def _styles(self, family: Tensor, styles_s: list[list[float]]) -> Tensor:
-        """[n, V] float32, s: one of its family's styles per social vehicle, NaN for the ego."""
-        n = family.shape[0]
-        chance = self._uniform(n, self.scenario.n_social)
-        style = torch.full((n, 1 + self.scenario.n_social), torch.nan, device=family.device)
-        for index, values in enumerate(styles_s):
-            styles = torch.tensor(values, device=family.device)
-            choice = styles[(chance * len(styles)).long().clamp(max=len(styles) - 1)]
-            style[:, EGO + 1 :] = torch.where((family == index)[:, None], choice, style[:, EGO + 1 :])
-        return style
 
-    def _times(self, family: Tensor, intervals: list[tuple[float, float] | None]) -> Tensor:
-        """[n, V] float32, s: a time per social vehicle from its family's interval, inf for none and for the ego."""
-        n = family.shape[0]
-        chance = self._uniform(n, self.scenario.n_social)
-        low, high = torch.tensor([interval or (torch.inf, 0.0) for interval in intervals], device=family.device).T
-        time = torch.full((n, 1 + self.scenario.n_social), torch.inf, device=family.device)
-        drawn = low[family, None] + (high - low)[family, None] * chance
-        time[:, EGO + 1 :] = torch.where(low[family, None] < torch.inf, drawn, torch.inf)
-        return time
+def _tabulate(families: list[FamilyConfig], device: torch.device) -> _Tables:
+    never = (math.inf, math.inf)
+    switches = [family.style_switch for family in families]
+    weights = torch.tensor([family.weight for family in families], dtype=torch.float64)
+    styles, n_styles = _filled_up([family.style_horizon_s for family in families])
+    next_styles, n_next_styles = _filled_up([s.style_horizon_s if s else [math.nan] for s in switches])
+    tables = _Tables(
+        until=(weights.cumsum(0) / weights.sum()).float(),
+        distance=torch.tensor([family.start_distance_m for family in families]),
+        switch_time=torch.tensor([(s and s.at_s) or never for s in switches]),
+        patience=torch.tensor([(s and s.stuck_s) or never for s in switches]),
+        styles=styles,
+        n_styles=n_styles,
+        next_styles=next_styles,
+        n_next_styles=n_next_styles,
+    )
+    return _Tables(*(field.to(device) for field in tables))
 
-    def _between(self, interval: tuple[float, float], *shape: int) -> Tensor:
-        low, high = interval
-        return low + (high - low) * self._uniform(*shape)
 
-    def _uniform(self, *shape: int) -> Tensor:
-        return torch.rand(shape, generator=self.generator, device=self.generator.device)
+def _filled_up(rows: list[list[float]]) -> tuple[Tensor, Tensor]:
+    """[F, K] float32 and the lengths [F] of the rows."""
+    longest = max(map(len, rows))
+    filled = [row + [math.nan] * (longest - len(row)) for row in rows]
+    return torch.tensor(filled), torch.tensor([len(row) for row in rows])
+
+
+def _one_of(values: Tensor, n_values: Tensor, family: Tensor, chance: Tensor) -> Tensor:
+    """[n, V] float32: one of the family's values per vehicle."""
+    last = (n_values - 1)[family, None]
+    index = (chance * n_values[family, None]).long().minimum(last)
+    return values[family].gather(1, index)
+
+
+def _between(interval: tuple[float, float], chance: Tensor) -> Tensor:
+    low, high = interval
+    return low + (high - low) * chance
+
+
+def _between_each(intervals: Tensor, chance: Tensor) -> Tensor:
+    """[n, V] float32 from the rows' intervals [n, 2]; one at infinity gives infinity."""
+    low, high = intervals[:, :1], intervals[:, 1:]
+    return torch.where(low.isinf(), low, low + (high - low) * chance)
+
+
+def _with_ego(ego: float, social: Tensor) -> Tensor:
+    """[n, 1 + S]: `ego` in the ego's column, then the social vehicles'."""
+    return torch.cat([social.new_full((len(social), 1), ego), social], dim=1)

@@ -1,4 +1,4 @@
-"""Batched worlds: reset, step, masked reset. State goes in, state comes out; nothing is hidden.
+"""Batched worlds: reset and step. State goes in, state comes out; nothing is hidden.
 
 The simulator moves vehicles and tells what happened; who drives them (`negopipe.driver`) and what the ego is paid
 (`negopipe.reward`) is not its business.

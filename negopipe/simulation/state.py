@@ -55,7 +55,7 @@ class Task:
     switch_time: [E, V] float32, s, time in the episode at which it switches; inf = never
     patience: [E, V] float32, s, time at rest without a break after which it switches; inf = never
     direction: [E, V] float32, +1 drives towards growing sigma (+x in the corridor), -1 against it
-    noise_seed: [E] int64, from 0 to 2^31 - 1, of the errors with which vehicles perceive each other
+    noise_seed: [E] int64, from 0 to 2^24 - 1, of the errors with which vehicles perceive each other
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
     """
 
@@ -143,15 +143,16 @@ def map_tensors(fn: Callable[..., Tensor], *trees: T) -> T:
     return type(first)(**values)
 
 
-def first_tensor(tree: Any) -> Tensor:
-    """Any tensor of a tree, to read off what all have in common: the number of worlds, the device."""
+def tensors(tree: Any) -> list[Tensor]:
+    """All tensors of a tree, in the order in which `map_tensors` meets them."""
     if isinstance(tree, Tensor):
-        return tree
-    return first_tensor(tree[0] if isinstance(tree, tuple) else getattr(tree, fields(tree)[0].name))
+        return [tree]
+    branches = tree if isinstance(tree, tuple) else [getattr(tree, field.name) for field in fields(tree)]
+    return [leaf for branch in branches for leaf in tensors(branch)]
 
 
 def where_world(mask: Tensor, chosen: T, other: T) -> T:
-    """Per world: `chosen` where `mask` [E] is true, else `other` (the masked reset)."""
+    """Per world: `chosen` where `mask` [E] is true, else `other` (worlds whose episode is over stay as they are)."""
 
     def pick(a: Tensor, b: Tensor) -> Tensor:
         return torch.where(mask.reshape(-1, *[1] * (a.dim() - 1)), a, b)

@@ -117,7 +117,7 @@ def measure_machine(config: "RunConfig", device: str) -> Figures:
 def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figures:
     """The figures of one backend with one number of worlds.
 
-    decisions_per_s: steps of a world with random actions: all vehicles' plans, reward, grids, masked reset
+    decisions_per_s: steps of a world with random actions: all plans, reward, grids, a new task where an episode is over
     planner_candidates_per_s: combinations planned and checked, of all vehicles, by `plan` alone
     observation_frames_per_s: by `draw` alone
     decision_latency_ms_p50, _p99: what one ego needs for a decision: grids, network, plan; with one world only

@@ -34,7 +34,8 @@ def searched(rollouts: Rollouts, tasks: Task, rounds: int) -> list[Sequences]:
 
 @pytest.fixture(scope="module")
 def tasks(config: RunConfig) -> Task:
-    return draw_tasks(config, 2, seed=1)
+    """Two of them have something to find for any search, the two others for one of three decisions."""
+    return map_tensors(lambda field: field[[0, 6, 3, 4]], draw_tasks(config, 8, seed=1))
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +54,12 @@ def test_no_round_makes_it_worse(found: list[Sequences], rollouts: Rollouts, tas
     for before, after in pairwise(found):
         assert (after.score >= before.score).all()
         assert (after.reward >= before.reward).all()
-    many = improve(rollouts, tasks, found[0], 48, torch.Generator().manual_seed(0))
-    assert (many.score > found[0].score).any()
+    assert (found[-1].score > found[0].score).any()
 
 
 def test_same_seed_same_result(found: list[Sequences], rollouts: Rollouts, tasks: Task) -> None:
-    again = searched(rollouts, tasks, rounds=1)[-1]
+    random = torch.Generator().manual_seed(0)
+    again = improve(rollouts, tasks, found[0], POPULATION, random)
     assert torch.equal(again.score, found[1].score)
     assert torch.equal(again.actions, found[1].actions)
     one, same, other = (candidates(found[0], 4, 3, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1))
@@ -100,13 +101,12 @@ class Held(Rollouts):
 
 def test_it_finds_the_best_of_all_sequences(config: RunConfig, game: Game, tasks: Task) -> None:
     rollouts = Held(config, game)
-    one = map_tensors(lambda field: field[:1], tasks)
     every = torch.tensor(list(product(range(4), repeat=3)))
-    found = searched(rollouts, one, rounds=24)
-    each = map_tensors(lambda field: field.repeat_interleave(len(every), 0), one)
-    exact = rollouts.play(each, every, found[0].score.repeat(len(every))).score.amax()
-    assert exact > found[0].score + 0.25
-    assert found[-1].score.item() == pytest.approx(exact.item(), abs=1e-3)
+    found = searched(rollouts, tasks, rounds=24)
+    each = map_tensors(lambda field: field.repeat_interleave(len(every), 0), (tasks, found[0].score))
+    exact = rollouts.play(each[0], every.repeat(len(tasks), 1), each[1]).score.reshape(len(tasks), -1).amax(1)
+    assert (exact > found[0].score + 0.2).sum() >= 2  # there is something to find
+    torch.testing.assert_close(found[-1].score, exact, atol=1e-3, rtol=0)
 
 
 def test_giving_up_loses_nothing_that_counts(rollouts: Rollouts, found: list[Sequences], tasks: Task) -> None:
@@ -118,14 +118,14 @@ def test_giving_up_loses_nothing_that_counts(rollouts: Rollouts, found: list[Seq
     assert torch.equal(hurried.score[counts], whole.score[counts])
     assert (hurried.n_steps <= whole.n_steps).all()
     too_much = rollouts.play(tasks, tried, torch.full((len(tasks),), 10.0, dtype=torch.float64))
-    assert too_much.n_steps.tolist() == [1, 1]
-    assert too_much.score.tolist() == [-np.inf] * 2
+    assert too_much.n_steps.tolist() == [1] * len(tasks)
+    assert too_much.score.tolist() == [-np.inf] * len(tasks)
 
 
 def test_candidates_change_decisions_that_count(rollouts: Rollouts, found: list[Sequences]) -> None:
     best = found[0]
     tried = candidates(best, rollouts.n_actions, 400, torch.Generator().manual_seed(0))
-    assert tried.shape == (2, 400, rollouts.n_steps)
+    assert tried.shape == (4, 400, rollouts.n_steps)
     assert set(tried.unique().tolist()) == {0, 1, 2, 3}
     is_changed = tried != best.actions[:, None]
     for task, n in enumerate(best.n_steps.tolist()):
