@@ -7,9 +7,10 @@ The rule, written down before the first run: a road qualifies if
   2. the oracle succeeds in at least 99 % of the mixture's tasks.
 Among those that qualify, the default is the one in which the best fixed horizon does worst (lowest success on the
 mixture); of several that tie there, the one in which the fixed horizons do worst on average, and of those that tie
-again, the one that jobs/scenario_study.sh runs first. (The tie-break was added after a first run under the paper's
-reward had ended in a tie, and before the run under the strict one that the study counts.) No trained policy is looked at. Also said for each road: whether the paper's claim could hold there, that in
-yield no fixed horizon arrives in time although some sequence of horizons does.
+again, the one with the shortest corridor, then the shortest swerve. (A first run, under the paper's reward, had ended
+in a tie. The tie-break was added then, before the run under the strict reward, which is the one that counts.)
+No trained policy is looked at. Also said for each road: whether the paper's claim could hold there, that in yield no
+fixed horizon arrives in time although some sequence of horizons does.
 """
 
 import sys
