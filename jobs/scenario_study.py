@@ -50,9 +50,8 @@ def road(folder: Path) -> dict[str, Any]:
 
 def main() -> None:
     folders = sorted(path.parent for path in Path(sys.argv[1]).glob("*/oracle.csv"))
-    table = pd.DataFrame([road(folder) for folder in folders]).sort_values(
-        ["best_fixed", "mean_fixed", "run"], ignore_index=True
-    )
+    table = pd.DataFrame([road(folder) for folder in folders])
+    table = table.sort_values(["best_fixed", "mean_fixed", "corridor_m", "swerve_m"], ignore_index=True)
     print(table.to_string(float_format=lambda x: f"{x:.3g}"))
     qualified = table[table["qualifies"]]
     if qualified.empty:
