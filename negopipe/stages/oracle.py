@@ -31,7 +31,7 @@ CONVERGED = 0.05
 
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
-    """Search all settings; writes oracle.csv and the part `oracle` of metrics.json."""
+    """Search all settings; writes oracle.csv (`table`, and how often the horizon changed) and `oracle` of metrics.json."""
     game = build_game(config, device_of(config), is_compiled=config.compile == "on")
     rows, measures = [], {}
     n_rounds = 2 * config.oracle.rounds
@@ -40,9 +40,10 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
             tasks = oracle_tasks(config, game, setting)
             half, best = find(config, game, tasks, setting, progress)
             trace = play(config, game, tasks, best, setting)
-            fixed = drive_fixed(config, game, tasks, setting)
-            rows.append(table(config, trace, fixed))
-            measures[setting] = _measures(config, trace, fixed, half, best)
+            own = episodes(trace, config.scenario.road.corridor_length_m)
+            fixed = fixed_episodes(config, game, tasks, setting)
+            rows.append(table(own, fixed).assign(n_switches=n_switches(trace)))
+            measures[setting] = _measures(own, fixed, half, best)
             _say(setting, measures[setting])
     pd.concat(rows, ignore_index=True).to_csv(run.folder / "oracle.csv", index=False)
     run.log_artifact(run.folder / "oracle.csv")
@@ -75,38 +76,35 @@ def play(config: "RunConfig", game: Game, tasks: Task, best: Sequences, setting:
     return _drive(config, game, sequence_planner(horizons[best.actions.T]), tasks, (ORACLE, setting))
 
 
-def drive_fixed(config: "RunConfig", game: Game, tasks: Task, setting: str) -> dict[float, Trace]:
-    """The record of each fixed horizon among the ego's choices."""
-    horizons_s = list(config.policy.horizons_s)
+def fixed_episodes(config: "RunConfig", game: Game, tasks: Task, setting: str) -> dict[float, pd.DataFrame]:
+    """`metrics.episodes` of each fixed horizon among the ego's choices."""
+    horizons_s, length_m = list(config.policy.horizons_s), config.scenario.road.corridor_length_m
     planners = fixed_planners(horizons_s)
-    return {h: _drive(config, game, planners[fixed_name(h)], tasks, (fixed_name(h), setting)) for h in horizons_s}
+    traces = {h: _drive(config, game, planners[fixed_name(h)], tasks, (fixed_name(h), setting)) for h in horizons_s}
+    return {h: episodes(trace, length_m) for h, trace in traces.items()}
 
 
 def _drive(config: "RunConfig", game: Game, choose: ChooseHorizon, tasks: Task, names: tuple[str, str]) -> Trace:
     return drive_episodes(game, choose, tasks, len(tasks), config.evaluation.reward, names)
 
 
-def table(config: "RunConfig", trace: Trace, fixed: dict[float, Trace]) -> pd.DataFrame:
+def table(own: pd.DataFrame, fixed: dict[float, pd.DataFrame]) -> pd.DataFrame:
     """One row per task of a setting, `episode` as in the evaluation's episodes.csv.
 
     Columns of `metrics.episodes` (reward is the oracle's return), and
-    n_switches: changes of the horizon, those without effect too
     best_fixed_horizon_s, best_fixed_reward: the fixed horizon with the highest return on the task, the shortest
         of equally good ones
     fixed_<h>_outcome, fixed_<h>_reward: of each fixed horizon on the task
     """
-    rows = episodes(trace, config.scenario.road.corridor_length_m)
-    others = {h: episodes(each, config.scenario.road.corridor_length_m) for h, each in fixed.items()}
-    returns = np.stack([each["reward"] for each in others.values()])
+    returns = np.stack([each["reward"] for each in fixed.values()])
     beside = {
         f"{fixed_name(h)}_{column}": each[column].to_numpy()
-        for h, each in others.items()
+        for h, each in fixed.items()
         for column in ("outcome", "reward")
     }
     columns = "setting episode ego_start_distance_m social_start_distance_m style_horizon_s outcome reward "
     columns += "ego_time_s social_time_s"
-    return rows[columns.split()].assign(
-        n_switches=n_switches(trace),
+    return own[columns.split()].assign(
         best_fixed_horizon_s=np.array(list(fixed))[returns.argmax(0)],
         best_fixed_reward=returns.max(0),
         **beside,
@@ -119,18 +117,14 @@ def n_switches(trace: Trace) -> np.ndarray:
     return ((horizon[1:] != horizon[:-1]) & running(trace)[1:]).sum(0)
 
 
-def _measures(
-    config: "RunConfig", trace: Trace, fixed: dict[float, Trace], half: Sequences, best: Sequences
-) -> dict[str, Any]:
+def _measures(own: pd.DataFrame, fixed: dict[float, pd.DataFrame], half: Sequences, best: Sequences) -> dict[str, Any]:
     """`oracle.<setting>` of metrics.json; the fixed horizons beside it."""
-    length_m = config.scenario.road.corridor_length_m
-    found = pd.concat([episodes(each, length_m) for each in (trace, *fixed.values())])
-    by_planner = summary(found)["evaluation"][trace.family]
-    own = by_planner.pop(ORACLE)
+    (by_planner,) = summary(pd.concat([own, *fixed.values()]))["evaluation"].values()
+    found = by_planner.pop(ORACLE)
     gain = float((best.reward - half.reward).mean())
     return {
-        "n_tasks": own["n_episodes"],
-        **{name: own[name] for name in ("success_rate", "collision_rate", "driving_time_s", "reward")},
+        "n_tasks": found["n_episodes"],
+        **{name: found[name] for name in ("success_rate", "collision_rate", "driving_time_s", "reward")},
         "reward_at_half_budget": float(half.reward.mean()),
         "gain_by_doubling": gain,
         "is_converged": gain < CONVERGED,

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from tracked import RecordedRun
 
 from negopipe.config import RunConfig, run_name
 from negopipe.driver import fixed_horizon
@@ -47,25 +48,6 @@ TINY = (
 
 def tiny(*overrides: str) -> RunConfig:
     return compose_config(["device=cpu", *TINY, *overrides])
-
-
-class Run:
-    """Stands for the tracked run and remembers what it was given."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.description = folder, ""
-        self.artifacts: list[tuple[str, str]] = []
-        self.metrics: dict[str, Any] = {}
-
-    def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
-        assert path.is_file()
-        self.artifacts.append((path.name, artifact_folder))
-
-    def update_metrics_json(self, section: dict[str, Any]) -> None:
-        self.metrics |= section
-
-    def set_description(self, markdown: str) -> None:
-        self.description = markdown
 
 
 def box(x: float, y: float, yaw: float) -> Boxes:
@@ -124,13 +106,13 @@ def test_smallest_gap_is_over_time_and_all_social_vehicles(social_x_m: list[list
 
 
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    run = Run(tmp_path_factory.mktemp("run"))
+def ran(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
+    run = RecordedRun(tmp_path_factory.mktemp("run"))
     behaviour_map.run(tiny("evaluation.settings=[push,yield]"), run)
     return run
 
 
-def test_rows_agree_with_the_drives(ran: Run) -> None:
+def test_rows_agree_with_the_drives(ran: RecordedRun) -> None:
     table = pd.read_csv(ran.folder / "behaviour_map.csv")
     keys = ["setting", "social_style_s", "ego_horizon_s"]
     pairs = [(style, horizon) for style in (0.0, 6.0) for horizon in (0.0, 6.0)]
@@ -157,7 +139,7 @@ def test_rows_agree_with_the_drives(ran: Run) -> None:
     assert table["ego_passes_first_rate"].isin([0, 1]).any()
 
 
-def test_two_who_do_not_look_collide_and_touch(ran: Run) -> None:
+def test_two_who_do_not_look_collide_and_touch(ran: RecordedRun) -> None:
     table = pd.read_csv(ran.folder / "behaviour_map.csv")
     blind = table[(table["ego_horizon_s"] == 0) & (table["social_style_s"] == 0)]
     assert blind["collision_rate"].tolist() == [1.0, 1.0]
@@ -165,13 +147,13 @@ def test_two_who_do_not_look_collide_and_touch(ran: Run) -> None:
     assert blind["ego_time_s"].isna().all()
 
 
-def test_everything_is_written_and_logged(ran: Run) -> None:
+def test_everything_is_written_and_logged(ran: RecordedRun) -> None:
     assert ran.artifacts == [
         ("behaviour_map.csv", ""),
         ("behaviour_map.png", "figures"),
         ("behaviour_map.svg", "figures"),
     ]
-    verdicts = ran.metrics["behaviour_map"]["claims"]
+    verdicts = ran.sections["behaviour_map"]["claims"]
     assert set(verdicts) == {"ego_passes_first_rate", "smallest_gap_m"}
     assert set(verdicts["smallest_gap_m"]["push"]) == {"social_0", "social_6"}
     assert ran.description.startswith("A shorter prediction horizon of the ego as more aggressive driving")
@@ -214,7 +196,7 @@ def test_the_reading_says_where_it_turns() -> None:
     assert "Coming closer: does not hold in 1 of 1 (push against 2 s [0.90 m at 2 s but 0.25 m at 4 s])." in text
 
 
-def test_the_figure_shows_the_numbers(ran: Run) -> None:
+def test_the_figure_shows_the_numbers(ran: RecordedRun) -> None:
     table = pd.read_csv(ran.folder / "behaviour_map.csv")
     outcomes, passages = draw(table).axes[:2]
     push = table[table["setting"] == "push"]
@@ -228,7 +210,7 @@ def test_the_figure_shows_the_numbers(ran: Run) -> None:
 
 
 def test_formats_are_those_of_the_report(tmp_path: Path) -> None:
-    run = Run(tmp_path)
+    run = RecordedRun(tmp_path)
     one = ("behaviour_map.horizons_s=[0.0]", "behaviour_map.styles_s=[0.0]", "evaluation.settings=[yield]")
     behaviour_map.run(tiny(*one, "report.figure_formats=[svg]"), run)
     assert [path.name for path in (tmp_path / "figures").iterdir()] == ["behaviour_map.svg"]

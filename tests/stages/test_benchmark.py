@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
+from tracked import RecordedRun
 
 from negopipe.config import RunConfig
 from negopipe.env import Game
@@ -52,21 +53,6 @@ SHARED = {
 }
 
 
-class RecordedRun:
-    """What the stage uses of a tracked run."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.artifacts: list[Path] = []
-        self.metrics: dict[str, float] = {}
-
-    def log_artifact(self, path: Path) -> None:
-        self.artifacts.append(path)
-
-    def log_metrics(self, metrics: dict[str, float], step: int) -> None:
-        self.metrics |= metrics
-
-
 class OperationCount(TorchDispatchMode):
     """Counts calls of operations; on tensors of one element these are the operations on numbers."""
 
@@ -100,7 +86,7 @@ def test_all_figures_are_written_under_their_names(
     assert all(value > 0 for value in figures.values())
     assert all(re.fullmatch(r"(reference|limit|eager\.\d+)\.[a-z0-9_]+", name) for name in figures)
     assert figures["eager.1.decision_latency_ms_p50"] <= figures["eager.1.decision_latency_ms_p99"]
-    assert run.artifacts == [tmp_path / "benchmark.json"]
+    assert run.artifacts == [("benchmark.json", "")]
     assert run.metrics["benchmark/eager/4/decisions_per_s"] == figures["eager.4.decisions_per_s"]
     shown = capsys.readouterr().out
     assert "benchmark 100%" in shown

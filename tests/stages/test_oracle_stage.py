@@ -1,11 +1,9 @@
 """The oracle stage: its tasks are the evaluation's, its files agree with the drives, wrong values are named."""
 
-from pathlib import Path
-from typing import Any
-
 import pandas as pd
 import pytest
 import torch
+from tracked import RecordedRun
 
 from negopipe.config import RunConfig, run_name
 from negopipe.env import Game
@@ -29,37 +27,21 @@ def tiny(*overrides: str) -> RunConfig:
     return compose_config(["device=cpu", *TINY, *overrides])
 
 
-class Run:
-    """Stands for the tracked run and remembers what it was given."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.artifacts: list[str] = []
-        self.metrics: dict[str, Any] = {}
-
-    def log_artifact(self, path: Path) -> None:
-        assert path.is_file()
-        self.artifacts.append(path.name)
-
-    def update_metrics_json(self, section: dict[str, Any]) -> None:
-        self.metrics |= section
-
-
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    run = Run(tmp_path_factory.mktemp("run"))
+def ran(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
+    run = RecordedRun(tmp_path_factory.mktemp("run"))
     oracle.run(tiny(), run)
     return run
 
 
-def test_a_row_per_task_and_measures_that_agree(ran: Run) -> None:
-    assert ran.artifacts == ["oracle.csv"]
+def test_a_row_per_task_and_measures_that_agree(ran: RecordedRun) -> None:
+    assert ran.artifacts == [("oracle.csv", "")]
     table = pd.read_csv(ran.folder / "oracle.csv")
     assert table[["setting", "episode"]].to_numpy().tolist() == [[s, i] for s in ("push", "mixture") for i in (0, 1)]
     assert (table["reward"] >= table["best_fixed_reward"]).all()
     assert table["best_fixed_horizon_s"].isin([0.0, 2.0, 4.0, 6.0]).all()
-    assert list(ran.metrics["oracle"]) == ["push", "mixture"]
-    for setting, measures in ran.metrics["oracle"].items():
+    assert list(ran.sections["oracle"]) == ["push", "mixture"]
+    for setting, measures in ran.sections["oracle"].items():
         rows = table[table["setting"] == setting]
         assert measures["n_tasks"] == len(rows)
         assert measures["reward"] == pytest.approx(rows["reward"].mean())

@@ -1,0 +1,31 @@
+"""A tracked run without a store, for tests of single stages."""
+
+from pathlib import Path
+from typing import Any
+
+
+class RecordedRun:
+    """Remembers what a stage gives it.
+
+    artifacts: (file name, artifact folder) each
+    sections: parts of metrics.json; metrics: what went to the store
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.description = folder, ""
+        self.artifacts: list[tuple[str, str]] = []
+        self.sections: dict[str, Any] = {}
+        self.metrics: dict[str, float] = {}
+
+    def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
+        assert path.is_file()
+        self.artifacts.append((path.name, artifact_folder))
+
+    def log_metrics(self, metrics: dict[str, float], step: int) -> None:
+        self.metrics |= metrics
+
+    def update_metrics_json(self, section: dict[str, Any]) -> None:
+        self.sections |= section
+
+    def set_description(self, markdown: str) -> None:
+        self.description = markdown
