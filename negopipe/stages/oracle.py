@@ -31,7 +31,7 @@ CONVERGED = 0.05
 
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
-    """Search all settings; writes oracle.csv (`table`, and how often the horizon changed) and `oracle` of metrics.json."""
+    """Search all settings; writes oracle.csv (`table` and `n_switches`) and the part `oracle` of metrics.json."""
     game = build_game(config, device_of(config), is_compiled=config.compile == "on")
     rows, measures = [], {}
     n_rounds = 2 * config.oracle.rounds
