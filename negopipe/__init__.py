@@ -3,7 +3,7 @@
 The map, from the bottom up (a part imports only what stands above it here):
 
     schema, errors, seeding   how configs are declared, the user's errors, random streams
-    simulation/   state, geometry, reference_line, roadside, road, scenario (tasks), perception,
+    simulation/   state, geometry, reference_line, verge, road, scenario (tasks), perception,
                   dynamics, simulator
     planner/      polynomials, longitudinal and lateral candidates, prediction, frenet (the choice)
     observation/  occupancy grids          reward   Eq. 3
@@ -11,8 +11,9 @@ The map, from the bottom up (a part imports only what stands above it here):
     learning/     rollout, advantage, kfac, acktr, curriculum: tensors only, nothing of the simulator
     chunks, env   the game as batched worlds for the learner
     evaluation/   drives held-out tasks: planners, episodes, trace, metrics
-    report/       figures, animation, page     tracking/   MLflow store, checkpoints
-    stages/       train, evaluate, report, behaviour_map, oracle, benchmark: each a function of config and run
+    report/       figures, animation, page     tracking/   MLflow store, checkpoints, snapshots
+    stages/       train, evaluate, report, behaviour_map, oracle, benchmark: each a function of config and run;
+                  what is stopped goes on from its last snapshot
     config        RunConfig, the root schema   __main__   the command line   gym_env   gymnasium's door
 
 One decision (E worlds, V vehicles)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from negopipe.chunks import InChunks
 from negopipe.learning.rollout import Transition
+from negopipe.nested import put_under, take_from
 from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
 from negopipe.planner.frenet import FrenetPlanner, PlannerConfig
 from negopipe.reward import RewardConfig, reward
@@ -18,7 +19,15 @@ from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
 from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
 from negopipe.simulation.scenario import ScenarioConfig, TaskSampler
 from negopipe.simulation.simulator import Events, Simulator
-from negopipe.simulation.state import EGO, Motion, VehicleState, World, map_tensors
+from negopipe.simulation.state import (
+    EGO,
+    Motion,
+    VehicleState,
+    World,
+    map_tensors,
+    named_tensors,
+    with_tensors,
+)
 
 CHUNKS = {"cpu": 64, "cuda": 1024}
 """Worlds that are computed at once: large enough for the cost of a call; on a CPU small enough for the cache."""
@@ -170,6 +179,17 @@ class NegotiationEnv:
             is_success=events.is_success,
             is_collision=events.is_collision,
         )
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """All that the next step depends on: the worlds, what is seen of them and the stream of tasks."""
+        seen, tasks = self._observation, self.sampler.generator.get_state()
+        return {**put_under("world", named_tensors(self.world)), "observation": seen, "tasks": tasks}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Go on where `state_dict` was taken; the sampler's families are not part of it."""
+        self.world = with_tensors(self.world, take_from("world", state))
+        self._observation = state["observation"].to(self._observation.device)
+        self.sampler.generator.set_state(state["tasks"])
 
     def _start_again(self, moved: World, reached: Tensor, which: Tensor) -> Tensor:
         """Go on from `moved`, seeing `reached` [E, F, H, W], with new tasks in the D worlds `which`.

@@ -11,7 +11,7 @@ import negopipe
 PACKAGE = Path(negopipe.__file__).parent
 
 FLOORS = (
-    ("errors", "schema", "config_errors", "seeding", "stored"),
+    ("errors", "schema", "config_errors", "seeding", "stored", "nested"),
     ("simulation.state", "simulation.geometry"),
     ("simulation.reference_line", "simulation.verge"),
     (

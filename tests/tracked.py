@@ -24,6 +24,9 @@ class RecordedRun:
     def log_metrics(self, metrics: dict[str, float], step: int) -> None:
         self.metrics |= metrics
 
+    def log_checkpoint(self, path: Path, step: int, metrics: dict[str, float]) -> None:
+        self.log_artifact(path, f"step_{step}")
+
     def update_metrics_json(self, section: dict[str, Any]) -> None:
         self.sections |= section
 

@@ -32,6 +32,7 @@ from torch import Generator, Tensor
 from negopipe.learning.advantage import k_step_advantage
 from negopipe.learning.kfac import Kfac, KfacConfig, add_to_layer, layer_gradient
 from negopipe.learning.rollout import Rollout
+from negopipe.nested import put_under, take_from
 from negopipe.policy.actor_critic import ActorCritic, sample_action
 from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt, schema
 
@@ -133,8 +134,7 @@ class Acktr:
 
     def state_dict(self) -> dict[str, Tensor]:
         """Everything but the policy's own weights that the next update depends on."""
-        state = {f"kfac/{name}": value for name, value in self.kfac.state_dict().items()}
-        state |= {f"momentum/{name}": value for name, value in self.momentum.items()}
+        state = put_under("kfac", self.kfac.state_dict()) | put_under("momentum", self.momentum)
         state["counters"] = torch.tensor([self.n_rollouts, self.n_skipped])
         state["return_moments"] = self.return_moments
         state["generator"] = self.generator.get_state()
@@ -143,8 +143,8 @@ class Acktr:
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Go on where `state_dict` was taken; the policy's weights are loaded apart."""
         device = self.policy.value_mean.device
-        self.kfac.load_state_dict(_below("kfac/", state))
-        self.momentum = {name: m.to(device) for name, m in _below("momentum/", state).items()}
+        self.kfac.load_state_dict(take_from("kfac", state))
+        self.momentum = {name: m.to(device) for name, m in take_from("momentum", state).items()}
         self.n_rollouts, self.n_skipped = state["counters"].tolist()
         self.return_moments = state["return_moments"].to(device)
         self.generator.set_state(state["generator"])
@@ -278,7 +278,3 @@ def minibatches(n: int, size: int, generator: Generator) -> Iterator[Tensor]:
 def inner(a: dict[str, Tensor], b: dict[str, Tensor]) -> Tensor:
     """Inner product of two gradients, summed over the layers."""
     return torch.stack([(a[name] * b[name]).sum() for name in a]).sum()
-
-
-def _below(prefix: str, state: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}

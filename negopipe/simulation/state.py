@@ -12,7 +12,7 @@ Frames
     body    x ahead, y to the left, origin at the centre of the footprint.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
@@ -141,6 +141,22 @@ def map_tensors(fn: Callable[..., Tensor], *trees: T) -> T:
         for field in fields(first)  # type: ignore[arg-type]
     }
     return type(first)(**values)
+
+
+def named_tensors(tree: Any, prefix: str = "") -> dict[str, Tensor]:
+    """All tensors of a tensor dataclass by their path, `vehicles/speed`, to be written to a file."""
+    if isinstance(tree, Tensor):
+        return {prefix: tree}
+    named: dict[str, Tensor] = {}
+    for field in fields(tree):
+        named |= named_tensors(getattr(tree, field.name), f"{prefix}/{field.name}" if prefix else field.name)
+    return named
+
+
+def with_tensors(example: T, named: Mapping[str, Tensor]) -> T:
+    """A tree like `example` of the tensors that `named_tensors` gave, on the example's device."""
+    values = iter([named[name].to(tensor.device) for name, tensor in named_tensors(example).items()])
+    return map_tensors(lambda _: next(values), example)
 
 
 def tensors(tree: Any) -> list[Tensor]:

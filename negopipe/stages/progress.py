@@ -10,13 +10,13 @@ LINE_INTERVAL_S = 20.0
 
 
 class ProgressLine:
-    """Context manager; `advance` after each step of `n_total`.
+    """Context manager; `advance` after each step of `n_total`, of which `n_done` were done before.
 
     On a terminal a bar with the latest text and the time left; in a log file one such line every 20 s.
     """
 
-    def __init__(self, title: str, n_total: int) -> None:
-        self.title, self.n_total, self.n_done = title, n_total, 0
+    def __init__(self, title: str, n_total: int, n_done: int = 0) -> None:
+        self.title, self.n_total, self.n_done, self._n_before = title, n_total, n_done, n_done
         console = Console()
         self._is_live = console.is_terminal
         self._bar = Progress(
@@ -29,7 +29,7 @@ class ProgressLine:
             console=console,
             disable=not self._is_live,
         )
-        self._task = self._bar.add_task(title, total=n_total, text="")
+        self._task = self._bar.add_task(title, total=n_total, completed=n_done, text="")
         self._started_s = self._said_s = time.monotonic()
 
     def advance(self, text: str, n: int = 1) -> None:
@@ -40,7 +40,7 @@ class ProgressLine:
         is_due = now_s - self._said_s >= LINE_INTERVAL_S or self.n_done >= self.n_total
         if not self._is_live and is_due:
             self._said_s = now_s
-            left_s = (now_s - self._started_s) * (self.n_total / self.n_done - 1)
+            left_s = (now_s - self._started_s) / (self.n_done - self._n_before) * (self.n_total - self.n_done)
             print(f"{self.title} {self.n_done / self.n_total:4.0%}  {text}  left {left_s:.0f} s", flush=True)
 
     def __enter__(self) -> "ProgressLine":

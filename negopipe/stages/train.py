@@ -1,9 +1,10 @@
 """The train stage: Algorithm 1 of the paper."""
 
+import logging
 import time
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import torch
@@ -11,47 +12,123 @@ import torch
 from negopipe.env import NegotiationEnv
 from negopipe.learning.acktr import Acktr
 from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
-from negopipe.policy.actor_critic import ActorCritic
+from negopipe.nested import put_under, take_from
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
+from negopipe.simulation.state import named_tensors, with_tensors
+from negopipe.stages.interruption import AskedToStop
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, device_of, load_policy, save_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
+from negopipe.tracking.snapshots import Snapshots
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
     from negopipe.tracking.store import TrackedRun
 
+log = logging.getLogger("negopipe")
+
 HISTORY_NAME = "history.csv"
+SNAPSHOTS_NAME = "snapshots"
+"""Folder of a run in which an unfinished training is kept."""
 N_RECENT_EPISODES = 200
 """Episodes that the success rate and mean return of the learning curves are taken over."""
 
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
-    """Train a policy; writes checkpoint.safetensors, history.csv and the `train` part of metrics.json."""
-    device, algorithm = device_of(config), config.algorithm
-    game, policy = build(config)
-    if config.checkpoint is not None:
-        load_policy(find_checkpoint(config.checkpoint, config), policy, config)
-    learner = Acktr(policy, algorithm, generator(config.seed, "updates", device))
-    tasks, actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
-    stages = config.curriculum.stages
-    first = TaskSampler(config.scenario, stages[0].families, tasks)
-    env = NegotiationEnv(game, config.reward, config.policy.horizons_s, first, algorithm.n_worlds)
-    running = RunningEpisodes.start(algorithm.n_worlds, device)
-    n_total = sum(stage.n_iterations for stage in stages)
-    curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)
-    with ProgressLine("train", n_total) as progress:
-        for stage in stages:  # (K, D) of Algorithm 1
-            env.sampler = TaskSampler(config.scenario, stage.families, tasks)  # T ~ D, a new one per episode
-            for _ in range(stage.n_iterations):
-                rollout, running = collect(env, policy, algorithm.n_steps, actions, running)
-                metrics = learner.update(rollout, len(curve) / n_total)
-                row = curve.add(stage.name, rollout, metrics)
-                run.log_metrics(curve.scalars(row), step=row["decisions"])
-                progress.advance(curve.text(row))
-            _save(config, run, policy, curve)
-    run.update_metrics_json({"train": curve.summary()})
+    """Train a policy; writes checkpoint.safetensors, history.csv and the `train` part of metrics.json.
+
+    A run that was stopped goes on from its newest snapshot, and ends as if it had never been stopped.
+    """
+    training = Training(config)
+    snapshots = Snapshots(run.folder / SNAPSHOTS_NAME, config.tracking.n_snapshots)
+    training.go_on_from(snapshots)
+    last_s = time.monotonic()
+    with ProgressLine("train", training.n_total, n_done=training.n_done) as progress, AskedToStop() as asked_to_stop:
+        while training.n_done < training.n_total:
+            row = training.iterate()
+            run.log_metrics(training.curve.scalars(row), step=row["decisions"])
+            progress.advance(training.curve.text(row))
+            if training.is_at_stage_end:
+                _save(config, run, training)
+            is_due = time.monotonic() - last_s >= config.tracking.snapshot_period_s
+            if is_due or asked_to_stop():
+                training.save_to(snapshots)
+                last_s = time.monotonic()
+            asked_to_stop.obey()
+    run.update_metrics_json({"train": training.curve.summary()})
+    snapshots.remove()
+
+
+class Training:
+    """Algorithm 1, one iteration at a time; its state can be taken and put back between iterations.
+
+    n_total, n_done: iterations of all stages together
+    """
+
+    def __init__(self, config: "RunConfig") -> None:
+        device, algorithm = device_of(config), config.algorithm
+        game, self.policy = build(config)
+        if config.checkpoint is not None:
+            load_policy(find_checkpoint(config.checkpoint, config), self.policy, config)
+        self.learner = Acktr(self.policy, algorithm, generator(config.seed, "updates", device))
+        tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
+        self.n_steps = algorithm.n_steps
+        self._samplers = {
+            stage.name: TaskSampler(config.scenario, stage.families, tasks) for stage in config.curriculum.stages
+        }
+        self._stage_of = [stage.name for stage in config.curriculum.stages for _ in range(stage.n_iterations)]
+        first = self._samplers[self._stage_of[0]]
+        self.env = NegotiationEnv(game, config.reward, config.policy.horizons_s, first, algorithm.n_worlds)
+        self.running = RunningEpisodes.start(algorithm.n_worlds, device)
+        self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)
+
+    @property
+    def n_total(self) -> int:
+        return len(self._stage_of)
+
+    @property
+    def n_done(self) -> int:
+        return len(self.curve)
+
+    @property
+    def is_at_stage_end(self) -> bool:
+        """The iteration just done was the last of its stage."""
+        n = self.n_done
+        return n == self.n_total or self._stage_of[n] != self._stage_of[n - 1]
+
+    def iterate(self) -> dict:
+        """Collect, update; returns the iteration's row of the learning curve."""
+        stage = self._stage_of[self.n_done]  # (K, D) of Algorithm 1
+        self.env.sampler = self._samplers[stage]  # T ~ D, a new one per episode
+        rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
+        metrics = self.learner.update(rollout, self.n_done / self.n_total)
+        return self.curve.add(stage, rollout, metrics)
+
+    def save_to(self, snapshots: Snapshots) -> None:
+        """Write down all that the next iteration depends on."""
+        state = (
+            put_under("policy", self.policy.state_dict())
+            | put_under("learner", self.learner.state_dict())
+            | put_under("env", self.env.state_dict())
+            | put_under("running", named_tensors(self.running))
+            | {"actions": self.actions.get_state()}
+        )
+        snapshots.save(self.n_done, state, self.curve.state_dict())
+
+    def go_on_from(self, snapshots: Snapshots) -> None:
+        """Put the newest snapshot back, if there is one."""
+        newest = snapshots.newest()
+        if newest is None:
+            return
+        state, curve = newest
+        self.policy.load_state_dict(take_from("policy", state))
+        self.learner.load_state_dict(take_from("learner", state))
+        self.env.load_state_dict(take_from("env", state))
+        self.running = with_tensors(self.running, take_from("running", state))
+        self.actions.set_state(state["actions"])
+        self.curve.load_state_dict(curve)
+        log.info(f"train      goes on after {self.n_done} of {self.n_total} iterations")
 
 
 class LearningCurve:
@@ -60,7 +137,7 @@ class LearningCurve:
     def __init__(self, n_decisions_per_iteration: int) -> None:
         self.rows: list[dict] = []
         self._n_per_iteration = n_decisions_per_iteration
-        self._recent: deque[tuple[float, bool, bool]] = deque(maxlen=N_RECENT_EPISODES)
+        self._recent: deque[tuple[float, ...]] = deque(maxlen=N_RECENT_EPISODES)
         self._started_s = self._last_s = time.monotonic()
 
     def __len__(self) -> int:
@@ -87,6 +164,17 @@ class LearningCurve:
         self.rows.append(row)
         return row
 
+    def state_dict(self) -> dict[str, Any]:
+        """All of it, as JSON can say it."""
+        return {"rows": self.rows, "recent": list(self._recent), "wall_s": time.monotonic() - self._started_s}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where `state_dict` was taken; the time between does not count."""
+        self.rows = state["rows"]
+        self._recent.extend(tuple(episode) for episode in state["recent"])
+        self._last_s = time.monotonic()
+        self._started_s = self._last_s - state["wall_s"]
+
     def scalars(self, row: dict) -> dict[str, float]:
         """The row's numbers under their names in the dashboard."""
         return {f"train/{k}": v for k, v in row.items() if isinstance(v, float) and v == v}
@@ -107,10 +195,11 @@ class LearningCurve:
         pd.DataFrame(self.rows).to_csv(path, index=False)
 
 
-def _save(config: "RunConfig", run: "TrackedRun", policy: ActorCritic, curve: LearningCurve) -> None:
+def _save(config: "RunConfig", run: "TrackedRun", training: Training) -> None:
     """Keep what a finished stage has reached."""
+    curve = training.curve
     row = curve.rows[-1]
     curve.write(run.folder / HISTORY_NAME)
     run.log_artifact(run.folder / HISTORY_NAME)
-    save_policy(run.folder / CHECKPOINT_NAME, policy, config, row["decisions"])
+    save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, row["decisions"])
     run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row))

@@ -31,7 +31,7 @@ def save_checkpoint(path: Path, tensors: dict[str, Tensor], metadata: dict[str, 
     metadata: what JSON can say (counters, the config, names)
     """
     on_cpu = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}
-    content = save(on_cpu, {_METADATA_KEY: json.dumps(metadata, sort_keys=True)})
+    content = save(on_cpu, {_METADATA_KEY: json.dumps(metadata)})
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
         try:

@@ -42,6 +42,8 @@ class TrackingConfig:
     registered_model: str | None
     n_metrics_per_flush: PositiveInt
     flush_period_s: PositiveFloat
+    snapshot_period_s: PositiveFloat
+    n_snapshots: PositiveInt
 
 
 class StoreConfig(Protocol):

@@ -8,7 +8,13 @@ import pytest
 from negopipe.tracking.store import TrackingConfig
 
 TRACKING = TrackingConfig(
-    uri=None, experiment="tests", registered_model=None, n_metrics_per_flush=1000, flush_period_s=3600.0
+    uri=None,
+    experiment="tests",
+    registered_model=None,
+    n_metrics_per_flush=1000,
+    flush_period_s=3600.0,
+    snapshot_period_s=60.0,
+    n_snapshots=2,
 )
 
 

@@ -1,0 +1,51 @@
+"""Stopping long work where nothing is lost: between two steps, not in the middle of one."""
+
+import signal
+import threading
+from types import FrameType, TracebackType
+
+PATIENCE_S = 5
+"""After so long a step is broken off; what is lost is the work since the last snapshot."""
+
+
+class AskedToStop:
+    """Context manager that holds back Ctrl-C and SIGTERM until the step that runs is over, `PATIENCE_S` at most.
+
+    Call it to know whether somebody has asked; `obey` then raises what the signal would have raised. The second
+    signal is obeyed at once.
+    """
+
+    def __init__(self) -> None:
+        self._asked: int | None = None
+        self._handlers: dict[int, signal.Handlers] = {}
+
+    def __call__(self) -> bool:
+        return self._asked is not None
+
+    def obey(self) -> None:
+        """Raise KeyboardInterrupt or SystemExit(128 + signal) if asked to stop."""
+        if self._asked == signal.SIGINT:
+            raise KeyboardInterrupt
+        if self._asked is not None:
+            raise SystemExit(128 + self._asked)
+
+    def __enter__(self) -> "AskedToStop":
+        if threading.current_thread() is threading.main_thread():  # Python handles signals nowhere else
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._handlers[number] = signal.signal(number, self._note)  # type: ignore[assignment]
+            self._handlers[signal.SIGALRM] = signal.signal(signal.SIGALRM, lambda *_: self.obey())  # type: ignore[assignment]
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._handlers:
+            signal.alarm(0)
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if self._asked is not None:
+            self.obey()
+        self._asked = number
+        signal.alarm(PATIENCE_S)

@@ -1,0 +1,115 @@
+"""Training that is stopped goes on as if nothing had happened, whatever state it was in."""
+
+import os
+import signal
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+from tracked import RecordedRun
+
+from negopipe.gym_env import compose_config
+from negopipe.stages import train
+from negopipe.stages.interruption import AskedToStop
+from negopipe.tracking.snapshots import Snapshots
+
+SMALL = (
+    "+experiment=smoke",
+    "device=cpu",
+    "tracking.snapshot_period_s=1e-6",
+    "scenario.episode_steps=20",  # so that episodes are cut off and start anew
+    "algorithm.kfac.statistics_interval=2",
+    "algorithm.kfac.inverse_interval=3",
+)
+DURATIONS = ["wall_s", "decisions_per_s"]
+
+
+class Killed(BaseException):
+    """Stands for SIGKILL: nobody handles it."""
+
+
+class MortalRun(RecordedRun):
+    """Dies in its `n`th iteration, after the update and before anything is kept of it."""
+
+    def __init__(self, folder: Path, n: int) -> None:
+        super().__init__(folder)
+        self.n_left = n
+
+    def log_metrics(self, metrics: dict[str, float], step: int) -> None:
+        self.n_left -= 1
+        if self.n_left == 0:
+            raise Killed
+
+
+def result(folder: Path) -> tuple[bytes, pd.DataFrame]:
+    history = pd.read_csv(folder / "history.csv")
+    return (folder / "checkpoint.safetensors").read_bytes(), history.drop(columns=DURATIONS)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, pd.DataFrame]:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    train.run(compose_config(list(SMALL)), RecordedRun(folder))  # type: ignore[arg-type]
+    return result(folder)
+
+
+@pytest.mark.parametrize("deaths", [(1,), (2, 1, 3), (6,), (4, 2)])
+def test_it_ends_as_if_it_had_never_been_killed(
+    undisturbed: tuple[bytes, pd.DataFrame], tmp_path: Path, deaths: tuple[int, ...]
+) -> None:
+    config = compose_config(list(SMALL))
+    for n in deaths:
+        with pytest.raises(Killed):
+            train.run(config, MortalRun(tmp_path, n))  # type: ignore[arg-type]
+    train.run(config, RecordedRun(tmp_path))  # type: ignore[arg-type]
+    checkpoint, history = result(tmp_path)
+    assert checkpoint == undisturbed[0]
+    pd.testing.assert_frame_equal(history, undisturbed[1], check_exact=True)
+    assert not (tmp_path / "snapshots").exists()
+
+
+def test_a_signal_waits_for_the_end_of_the_step_and_the_work_is_kept(
+    undisturbed: tuple[bytes, pd.DataFrame], tmp_path: Path
+) -> None:
+    config = compose_config([*SMALL, "tracking.snapshot_period_s=1e6"])
+
+    class StoppedRun(RecordedRun):
+        def log_metrics(self, metrics: dict[str, float], step: int) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(SystemExit) as stopped:
+        train.run(config, StoppedRun(tmp_path))  # type: ignore[arg-type]
+    assert stopped.value.code == 128 + signal.SIGTERM
+    assert [path.name for path in (tmp_path / "snapshots").iterdir()] == ["000000001.safetensors"]
+    train.run(config, RecordedRun(tmp_path))  # type: ignore[arg-type]
+    assert result(tmp_path)[0] == undisturbed[0]
+
+
+def test_who_asks_twice_does_not_wait() -> None:
+    with AskedToStop() as asked_to_stop:
+        os.kill(os.getpid(), signal.SIGINT)
+        assert asked_to_stop()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_the_last_few_are_kept_and_a_damaged_one_is_passed_over(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    snapshots = Snapshots(tmp_path / "kept", 2)
+    assert snapshots.newest() is None
+    for step in (1, 2, 10):
+        snapshots.save(step, {"x": torch.full((3,), float(step))}, {"step": step})
+    assert sorted(path.name for path in snapshots.folder.iterdir()) == [
+        "000000002.safetensors",
+        "000000010.safetensors",
+    ]
+    newest = snapshots.folder / "000000010.safetensors"
+    newest.write_bytes(newest.read_bytes()[:-4])
+    found = snapshots.newest()
+    assert found is not None
+    assert found[1] == {"step": 2}
+    assert found[0]["x"].tolist() == [2.0, 2.0, 2.0]
+    assert "000000010" in caplog.text
