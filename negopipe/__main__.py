@@ -76,7 +76,9 @@ def pipeline(composed: DictConfig) -> None:
 def run_stages(composed: DictConfig) -> None:
     """Check the config, open its run and run its stages in order."""
     from negopipe.config import as_mapping, load, run_name
+    from negopipe.identity import source_hash, stage_key
     from negopipe.stages import backend
+    from negopipe.stages.reuse import take_over_training
     from negopipe.tracking.checkpoint import find_checkpoint
     from negopipe.tracking.store import open_run
 
@@ -85,13 +87,21 @@ def run_stages(composed: DictConfig) -> None:
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
         find_checkpoint(config.checkpoint, config)  # before there is a run that could only fail
-    with open_run(config, run_name(config), as_mapping(config)) as run:
+    source = source_hash() if config.reuse == "same_code" else None
+    with open_run(config, run_name(config), as_mapping(config), source, is_fresh=config.rerun) as run:
         run.set_tags({"overrides": " ".join(HydraConfig.get().overrides.task)})
         log.info("run        %s", _shown(run.folder))
         config = backend.settle(config, run.folder)
         backend.prepare(config)
-        for stage in stages:
-            stage.run(config, run)
+        for name, stage in zip(config.stages, stages, strict=True):
+            key = stage_key(config, name)
+            if run.has_finished(name, key):
+                log.info(f"{name:10} finished before, with the same config (rerun=true runs it again)")
+                continue
+            is_taken = name == "train" and not config.rerun and take_over_training(config, run, key, source)
+            if not is_taken:
+                stage.run(config, run)
+            run.mark_finished(name, key)
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _shown(run.folder / file_name))

@@ -32,7 +32,7 @@ from negopipe.tracking.store import TrackingConfig
 Stage = Literal["train", "evaluate", "report", "behaviour_map", "oracle", "benchmark"]
 FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
-RESULT_NEUTRAL = {"name", "seed", "outputs", "stages", "n_threads", "report", "tracking"}
+RESULT_NEUTRAL = {"name", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "tracking"}
 """Keys that `run_name` leaves out of its hash: where a run is kept, which part of it runs now, how its
 results are shown. `n_threads` is among them because threads change rounding at most; `device` and `compile`
 are not: they draw and round differently. The seed stands beside the hash, so a config's seeds share it."""
@@ -47,6 +47,8 @@ class RunConfig:
     outputs: Annotated[str, Field(min_length=1)]
     stages: Annotated[tuple[Stage, ...], Field(min_length=1)]
     checkpoint: str | None
+    rerun: bool
+    reuse: Literal["same_code", "any_code"]
     device: Literal["auto", "cpu", "cuda"]
     n_threads: PositiveInt | Literal["auto"]
     compile: Literal["auto", "on", "off"]

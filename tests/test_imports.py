@@ -27,7 +27,7 @@ FLOORS = (
     ("chunks",),
     ("driver", "env"),
     ("evaluation", "report", "tracking"),
-    ("config",),
+    ("config", "identity"),
     ("stages", "gym_env"),
     ("__main__",),
 )

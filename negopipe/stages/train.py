@@ -21,6 +21,7 @@ from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, device_of, load_policy, save_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 from negopipe.tracking.snapshots import Snapshots
+from negopipe.tracking.store import HISTORY_NAME, SNAPSHOTS_NAME
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
-HISTORY_NAME = "history.csv"
-SNAPSHOTS_NAME = "snapshots"
-"""Folder of a run in which an unfinished training is kept."""
 N_RECENT_EPISODES = 200
 """Episodes that the success rate and mean return of the learning curves are taken over."""
 

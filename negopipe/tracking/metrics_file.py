@@ -13,11 +13,15 @@ def merge_into(path: Path, section: Mapping[str, Any]) -> None:
 
     Keys are sorted, NaN and infinity become null, numbers of numpy and torch plain ones.
     """
-    stored = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    merged = json.dumps(_plain(_merge(stored, section)), sort_keys=True, indent=2, allow_nan=False)
+    merged = json.dumps(_plain(_merge(read(path), section)), sort_keys=True, indent=2, allow_nan=False)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     draft.write_text(merged + "\n", encoding="utf-8")
     os.replace(draft, path)
+
+
+def read(path: Path) -> dict[str, Any]:
+    """What the file holds; nothing where there is none."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
 def _merge(old: Any, new: Any) -> Any:

@@ -4,12 +4,15 @@ A run folder belongs to one process at a time (`<folder>/.lock`). The lock also 
 that says RUNNING while nobody holds its folder was left by a dead process, and the next start closes it.
 """
 
+import logging
 import os
 import re
+import shutil
 import socket
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -20,11 +23,17 @@ from negopipe.errors import UserError
 from negopipe.schema import PositiveFloat, PositiveInt, schema
 from negopipe.tracking.database import artifact_location, connect, database_path, store_lock
 from negopipe.tracking.metrics_file import merge_into
+from negopipe.tracking.record import RunRecord, read_record, write_record
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
+log = logging.getLogger("negopipe")
+
 METRICS_NAME = "metrics.json"
+HISTORY_NAME = "history.csv"
+SNAPSHOTS_NAME = "snapshots"
+"""Folder of a run in which an unfinished training is kept."""
 CONFIG_NAME = "config.yaml"
 
 _HOST_TAG, _FOLDER_TAG, _PID_TAG = "host", "folder", "pid"
@@ -58,10 +67,14 @@ class StoreConfig(Protocol):
 
 
 @contextmanager
-def open_run(config: StoreConfig, run_name: str, resolved: dict[str, Any]) -> Iterator["TrackedRun"]:
-    """A run folder `<outputs>/<name>/<run_name>`, held by this process, and a new record of it in the store.
+def open_run(
+    config: StoreConfig, run_name: str, resolved: dict[str, Any], source: str | None = None, is_fresh: bool = False
+) -> Iterator["TrackedRun"]:
+    """A run folder `<outputs>/<name>/<run_name>`, held by this process, and its record in the store.
 
     resolved: the full config as plain mappings; it becomes the run's parameters and its config.yaml
+    source: hash of the code; a run that other code began is not gone on with. None = any code may go on
+    is_fresh: begin anew in any case
 
     The record ends as FINISHED, as FAILED on an exception, and as KILLED when the process is told to stop.
     Raises UserError if another process holds the folder or the store cannot be opened.
@@ -75,7 +88,9 @@ def open_run(config: StoreConfig, run_name: str, resolved: dict[str, Any]) -> It
             _hold(lock, folder)
             client = connect(outputs, config.tracking.uri)
             _close_dead_runs(client, own_folder=folder)
-            run = _create_run(client, config, folder)
+            record = None if is_fresh else _continued(read_record(folder), source)
+            run = _reopen(client, config, folder, record) if record else None
+            run = run or _create_run(client, config, folder, source or "")
         with _final_status(run):
             run.log_config(resolved)
             yield run
@@ -97,13 +112,23 @@ class TrackedRun:
 
     folder: absolute path, created
     run_id: MLflow's id
+    is_continued: it was begun by an earlier process, whose entries in the store stay
     """
 
     def __init__(
-        self, client: "MlflowClient", tracking: TrackingConfig, folder: Path, run_id: str, experiment_id: str
+        self,
+        client: "MlflowClient",
+        tracking: TrackingConfig,
+        folder: Path,
+        record: RunRecord,
+        experiment_id: str,
+        is_continued: bool = False,
     ) -> None:
         self.folder = folder
-        self.run_id = run_id
+        self.run_id = record.run_id
+        self.is_continued = is_continued
+        self._record = record
+        self._last_step: dict[str, int] = {}
         self._client = client
         self._tracking = tracking
         self._experiment_id = experiment_id
@@ -115,7 +140,18 @@ class TrackedRun:
         path = self.folder / CONFIG_NAME
         path.write_text(yaml.safe_dump(resolved, sort_keys=False, allow_unicode=True), encoding="utf-8")
         self.log_artifact(path)
-        self.log_params(flatten(resolved))
+        known = self._client.get_run(self.run_id).data.params if self.is_continued else {}
+        self.log_params({key: value for key, value in flatten(resolved).items() if clean_name(key) not in known})
+
+    def has_finished(self, stage: str, key: str) -> bool:
+        """The stage has been run to its end in this folder, with the config that `key` is the hash of."""
+        return self._record.finished.get(stage) == key
+
+    def mark_finished(self, stage: str, key: str) -> None:
+        """From now on the stage need not be run again; what it logged is in the store."""
+        self.flush()
+        self._record = replace(self._record, finished={**self._record.finished, stage: key})
+        write_record(self.folder, self._record)
 
     def log_params(self, params: Mapping[str, Any]) -> None:
         """Parameters that no one may change any more; long values are cut (config.yaml has them whole)."""
@@ -126,9 +162,13 @@ class TrackedRun:
             self._client.log_batch(self.run_id, params=entries[start : start + _PARAMS_PER_CALL])
 
     def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
-        """Scalars of one step; kept in memory and written in batches, in the order of the calls."""
+        """Scalars of one step; kept in memory and written in batches, in the order of the calls.
+
+        What an earlier process of this run has written is not written twice.
+        """
         now_ms = time.time_ns() // 1_000_000
-        self._buffer += [(clean_name(key), float(value), now_ms, step) for key, value in metrics.items()]
+        entries = [(clean_name(key), float(value), now_ms, step) for key, value in metrics.items()]
+        self._buffer += [entry for entry in entries if step > self._step_before(entry[0])]
         is_late = time.monotonic() - self._flushed_at_s >= self._tracking.flush_period_s
         if is_late or len(self._buffer) >= self._tracking.n_metrics_per_flush:
             self.flush()
@@ -141,6 +181,15 @@ class TrackedRun:
         for start in range(0, len(entries), _METRICS_PER_CALL):
             self._client.log_batch(self.run_id, metrics=entries[start : start + _METRICS_PER_CALL])
         self._flushed_at_s = time.monotonic()
+
+    def _step_before(self, key: str) -> int:
+        """The last step of a metric that an earlier process of this run has written."""
+        if not self.is_continued:
+            return -1
+        if key not in self._last_step:
+            written = self._client.get_metric_history(self.run_id, key)
+            self._last_step[key] = max((metric.step for metric in written), default=-1)
+        return self._last_step[key]
 
     def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
         """Copy a file, or a folder with all in it, to the run's artifacts."""
@@ -155,6 +204,8 @@ class TrackedRun:
         from mlflow.entities import LoggedModelOutput
 
         client = self._client
+        if self.is_continued and self._has_checkpoint(step):
+            return
         model = client.create_logged_model(
             self._experiment_id, f"step_{step}", source_run_id=self.run_id, params={"step": str(step)}
         )
@@ -165,6 +216,10 @@ class TrackedRun:
             client.log_metric(self.run_id, clean_name(key), float(value), step=step, model_id=model.model_id)
         if self._tracking.registered_model is not None:
             self._register(self._tracking.registered_model, model.model_id)
+
+    def _has_checkpoint(self, step: int) -> bool:
+        outputs = self._client.get_run(self.run_id).outputs
+        return outputs is not None and any(output.step == step for output in outputs.model_outputs)
 
     def update_metrics_json(self, section: Mapping[str, Any]) -> None:
         """Merge `section` into the folder's metrics.json.
@@ -236,15 +291,43 @@ def _hold(lock: FileLock, folder: Path) -> None:
         raise UserError(f"the run folder {folder} is in use by another process: {hint}") from error
 
 
-def _create_run(client: "MlflowClient", config: StoreConfig, folder: Path) -> TrackedRun:
+def _continued(record: RunRecord | None, source: str | None) -> RunRecord | None:
+    """The record of a run to go on with, if there is one."""
+    if record is not None and source not in (None, record.source):
+        log.info("run        begins anew: other code made what is there (reuse=any_code takes it all the same)")
+        return None
+    return record
+
+
+def _reopen(client: "MlflowClient", config: StoreConfig, folder: Path, record: RunRecord) -> TrackedRun | None:
+    """The run of a record, RUNNING again; None where the store has lost it."""
+    from mlflow.exceptions import MlflowException
+
+    try:
+        info = client.get_run(record.run_id).info
+    except MlflowException:
+        return None
+    client.update_run(record.run_id, status="RUNNING")
+    for key, value in _process_tags(folder).items():
+        client.set_tag(record.run_id, key, value)
+    return TrackedRun(client, config.tracking, folder, record, info.experiment_id, is_continued=True)
+
+
+def _create_run(client: "MlflowClient", config: StoreConfig, folder: Path, source: str) -> TrackedRun:
     name = config.tracking.experiment
     found = client.get_experiment_by_name(name)
     is_served = (config.tracking.uri or "").startswith(("http:", "https:"))  # and has a place of its own
     location = None if is_served else artifact_location(Path(config.outputs))
     experiment_id = found.experiment_id if found else client.create_experiment(name, location)
-    tags = {_HOST_TAG: socket.gethostname(), _PID_TAG: str(os.getpid()), _FOLDER_TAG: str(folder)}
-    record = client.create_run(experiment_id, tags=tags, run_name=folder.name)
-    return TrackedRun(client, config.tracking, folder, record.info.run_id, experiment_id)
+    run_id = client.create_run(experiment_id, tags=_process_tags(folder), run_name=folder.name).info.run_id
+    shutil.rmtree(folder / SNAPSHOTS_NAME, ignore_errors=True)  # of a run that is not gone on with
+    record = RunRecord(run_id, source)
+    write_record(folder, record)
+    return TrackedRun(client, config.tracking, folder, record, experiment_id)
+
+
+def _process_tags(folder: Path) -> dict[str, str]:
+    return {_HOST_TAG: socket.gethostname(), _PID_TAG: str(os.getpid()), _FOLDER_TAG: str(folder)}
 
 
 def _close_dead_runs(client: "MlflowClient", own_folder: Path) -> None:

@@ -71,7 +71,7 @@ def test_metrics_are_written_when_there_are_many_or_it_is_late(config: StoreConf
         for step in range(4):
             run.log_metrics({"x": step}, step)
         assert len(history(config, run, "x")) == 3
-    with open_run(but(config, flush_period_s=0.05), "seed1-d", {}) as run:
+    with open_run(but(config, flush_period_s=0.05), "seed2-d", {}) as run:
         time.sleep(0.06)
         run.log_metrics({"x": 1}, 1)
         assert len(history(config, run, "x")) == 1
@@ -196,8 +196,8 @@ def test_another_store_can_be_named(config: StoreConfig, tmp_path: Path) -> None
 
 
 def test_the_dashboard_lists_experiments_latest_first(config: StoreConfig) -> None:
-    for name in ("early", "late", "early"):
-        with open_run(but(config, experiment=name), "seed1-l", {}):
+    for seed, name in enumerate(("early", "late", "early")):
+        with open_run(but(config, experiment=name), f"seed{seed}-l", {}):
             time.sleep(0.002)
     addresses = chart_addresses(Path(config.outputs) / "mlflow" / "mlflow.db", 5001)
     assert list(addresses)[:2] == ["early", "late"]
@@ -231,3 +231,60 @@ def test_a_first_start_is_quiet_and_stays_in_outputs(
     assert capfd.readouterr() == ("", "")
     assert [path.name for path in tmp_path.iterdir()] == ["outputs"]
     assert sorted(path.name for path in Path(empty.outputs).iterdir()) == ["case", "mlflow"]
+
+
+def test_a_killed_run_goes_on_in_its_record_and_writes_nothing_twice(config: StoreConfig) -> None:
+    file = Path(config.outputs) / "again.safetensors"
+    file.write_bytes(b"weights")
+    with pytest.raises(SystemExit), open_run(config, "seed1-o", {"a": 1}, source="x") as first:
+        first.log_metrics({"loss": 0.0}, 0)
+        first.log_metrics({"loss": 1.0}, 1)
+        first.log_checkpoint(file, 1, {})
+        first.mark_finished("train", "key")
+        raise SystemExit(143)
+    with open_run(config, "seed1-o", {"a": 2, "b": 3}, source="x") as again:
+        assert record_of(config, again).info.status == "RUNNING"
+        assert again.has_finished("train", "key")
+        assert not again.has_finished("train", "other key")
+        assert not again.has_finished("evaluate", "key")
+        again.log_metrics({"loss": 1.0}, 1)
+        again.log_metrics({"loss": 2.0, "new": 5.0}, 2)
+        again.log_checkpoint(file, 1, {})
+        again.log_checkpoint(file, 2, {})
+    assert again.run_id == first.run_id
+    record = record_of(config, again)
+    assert record.info.status == "FINISHED"
+    assert record.data.params == {"a": "1", "b": "3"}  # the store does not let go of what it was told
+    assert history(config, again, "loss") == [(0, 0.0), (1, 1.0), (2, 2.0)]
+    assert history(config, again, "new") == [(2, 5.0)]
+    assert sorted(output.step for output in record.outputs.model_outputs) == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("source", "is_fresh", "is_same"),
+    [("x", False, True), (None, False, True), ("y", False, False), ("x", True, False)],
+)
+def test_other_code_and_who_asks_for_it_begin_anew(
+    config: StoreConfig, source: str | None, is_fresh: bool, is_same: bool
+) -> None:
+    name = f"seed1-p{source}{is_fresh}"
+    with open_run(config, name, {}, source="x") as first:
+        first.mark_finished("train", "key")
+        (first.folder / "snapshots").mkdir()
+    with open_run(config, name, {}, source, is_fresh) as second:
+        assert (second.run_id == first.run_id) == is_same
+        assert second.has_finished("train", "key") == is_same
+        assert (second.folder / "snapshots").exists() == is_same
+
+
+def test_a_record_that_is_damaged_or_lost_by_the_store_begins_anew(
+    config: StoreConfig, caplog: pytest.LogCaptureFixture
+) -> None:
+    for damage in ("{", '{"run_id": "0123", "source": "x", "finished": {"train": "key"}}'):
+        with open_run(config, "seed1-q", {}, source="x") as first:
+            pass
+        (first.folder / "record.json").write_text(damage)
+        with open_run(config, "seed1-q", {}, source="x") as second:
+            assert second.run_id != first.run_id
+            assert not second.has_finished("train", "key")
+    assert "is no record of a run" in caplog.text

@@ -1,0 +1,59 @@
+"""Which results are the same: hashes of the config that a stage depends on, and of the code."""
+
+import hashlib
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import negopipe
+from negopipe.config import RunConfig, as_mapping
+from negopipe.tracking.checkpoint import find_checkpoint
+
+_GAME = ("seed", "device", "compile", "scenario", "perception", "dynamics", "planner", "observation", "policy")
+_TRAINING = (*_GAME, "reward", "algorithm", "curriculum")
+DEPENDS_ON = {
+    "train": _TRAINING,
+    "evaluate": (*_TRAINING, "evaluation"),
+    "report": (*_TRAINING, "evaluation", "report"),
+    "behaviour_map": (*_GAME, "evaluation", "behaviour_map", "report"),
+    "oracle": (*_GAME, "evaluation", "oracle"),
+    "benchmark": (*_GAME, "n_threads", "evaluation", "algorithm", "benchmark"),
+}
+"""Groups of the config that a stage's result depends on, those of the stages that it builds on included."""
+
+NOT_TRAINED_ON = ("families",)
+"""Of the scenario: training draws from the curriculum's families."""
+ONLY_SHOWN = ("leading_setting",)
+"""Of the evaluation: what comes first in the report."""
+
+
+def stage_key(config: RunConfig, stage: str) -> str:
+    """Hash of all in a settled config that the result of `stage` depends on, a checkpoint's content included."""
+    values = as_mapping(config)
+    relevant: dict[str, Any] = {group: values[group] for group in DEPENDS_ON[stage]}
+    if stage == "train":
+        relevant["scenario"] = _without(relevant["scenario"], NOT_TRAINED_ON)
+    if stage != "report" and "evaluation" in relevant:
+        relevant["evaluation"] = _without(relevant["evaluation"], ONLY_SHOWN)
+    if "algorithm" in relevant and config.checkpoint is not None:
+        relevant["checkpoint"] = _digest(find_checkpoint(config.checkpoint, config).read_bytes())
+    return _digest(json.dumps(relevant, sort_keys=True).encode())
+
+
+@cache
+def source_hash() -> str:
+    """Hash of the package's code as it is now; taken once per process, whose code does not change any more."""
+    package = Path(negopipe.__file__).parent
+    total = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        total.update(f"{path.relative_to(package).as_posix()}\0".encode() + path.read_bytes() + b"\0")
+    return total.hexdigest()[:16]
+
+
+def _without(group: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
+    return {key: value for key, value in group.items() if key not in keys}
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
