@@ -77,7 +77,7 @@ def test_alone_a_vehicle_reaches_its_speed_and_target(config: RunConfig, game: G
     rows = drive(game, world, torch.zeros(1, 2), 60)
     world, _ = rows[-1]
     assert world.has_reached.all()
-    assert float(world.vehicles.speed[0, EGO]) == pytest.approx(5.0, abs=0.1)
+    assert float(world.vehicles.speed[0, EGO]) == pytest.approx(6.0, abs=0.1)
     assert not any(motion.is_full_braking.any() for _, motion in rows)
 
 

@@ -10,8 +10,6 @@ from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, map_tensors
 
-WIDE_SWERVE = "scenario.road.swerve_length_m=12"
-
 
 def pushed(config: RunConfig, n: int) -> TaskSampler:
     families = {"push": config.scenario.families["push"]}
@@ -19,7 +17,7 @@ def pushed(config: RunConfig, n: int) -> TaskSampler:
 
 
 def test_a_car_that_lags_behind_its_plan_leaves_the_place_where_it_waited() -> None:
-    config = compose_config(["dynamics=bicycle", WIDE_SWERVE])
+    config = compose_config(["dynamics=bicycle"])
     game = build_game(config)
     world = game.simulator.reset(pushed(config, 48).draw(48))
     horizon = torch.tensor([[0.0, 6.0]]).expand(48, 2)
@@ -31,7 +29,7 @@ def test_a_car_that_lags_behind_its_plan_leaves_the_place_where_it_waited() -> N
 
 def test_a_car_at_rest_beside_the_kerb_with_its_wheels_turned_drives_on() -> None:
     # 0.2 m from the kerb; turned to the left, its tail swings out to the right by a few centimetres
-    config = compose_config([WIDE_SWERVE])
+    config = compose_config()
     game = build_game(config)
     world = game.simulator.reset(pushed(config, 1).draw(1))
     there = torch.tensor([-9.0])

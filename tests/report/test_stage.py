@@ -138,7 +138,8 @@ def test_the_scene_is_the_road(run: Run) -> None:
     lane, half_width = config.road.lane_offset_m, config.road.width_m / 2
     for side, d in zip((-1, 1), scene.route_d_m, strict=True):
         assert d[abs(x) < 6].tolist() == pytest.approx([0.0] * int((abs(x) < 6).sum()))
-        assert d[abs(x) > 17].tolist() == pytest.approx([side * lane] * int((abs(x) > 17).sum()))
+        is_outside = abs(x) > 6 + config.road.swerve_length_m
+        assert d[is_outside].tolist() == pytest.approx([side * lane] * int(is_outside.sum()))
     assert scene.kerbs_m[:, 0].tolist() == [[x[0], -half_width], [x[0], half_width]]
     assert scene.corridor_m[:, [0, -1], 0].tolist() == [[-6.0, 6.0]] * 2
     assert (scene.vehicle_length_m, scene.vehicle_width_m) == (4.5, 1.8)

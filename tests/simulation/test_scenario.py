@@ -30,8 +30,8 @@ def test_families_have_their_distances_and_styles(config: RunConfig) -> None:
         assert 0.45 < float(is_family.float().mean()) < 0.55
     assert task.style_horizon[:, EGO].isnan().all()
     assert (task.start_distance[:, EGO] == 13.35).all()
-    assert (task.start_speed == 4.0).all()
-    assert (task.desired_speed == 5.0).all()
+    assert torch.equal(task.start_speed, torch.full_like(task.start_speed, 4.8))
+    assert torch.equal(task.desired_speed, torch.full_like(task.desired_speed, 6.0))
 
 
 def test_every_style_of_a_mixture_is_drawn(config: RunConfig) -> None:
