@@ -1,6 +1,7 @@
 """The whole line at tiny size: files, store, repeatability, a stage alone."""
 
 import json
+import re
 import sqlite3
 import subprocess
 import sys
@@ -108,3 +109,32 @@ def test_evaluation_alone_from_a_checkpoint(outputs: Path, tmp_path: Path) -> No
     assert other_network.returncode == 1
     assert other_network.stderr.startswith("policy.encoder_width must be 512 as in the checkpoint")
     assert len(other_network.stderr.splitlines()) == 1
+
+
+def test_the_same_command_repeats_nothing(outputs: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in only_run(outputs).glob("*.csv")}
+    done = negopipe("+experiment=smoke", f"outputs={outputs}", "n_threads=1")
+    assert done.returncode == 0, done.stderr
+    for stage in ("train", "evaluate", "report"):
+        assert re.search(rf"^{stage} +finished before", done.stdout, flags=re.MULTILINE)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    with closing(sqlite3.connect(outputs / "mlflow" / "mlflow.db")) as connection:
+        assert connection.execute("SELECT status FROM runs").fetchall() == [("FINISHED",)]
+
+
+def test_another_experiment_takes_the_training_over(outputs: Path) -> None:
+    arguments = ("+experiment=smoke", f"outputs={outputs}", "n_threads=1", "name=other", "stages=[train]")
+    done = negopipe(*arguments, "evaluation.leading_setting=push")
+    assert done.returncode == 0, done.stderr
+    assert "taken over from" in done.stdout
+    (other,) = (outputs / "other").iterdir()
+    for name in ("checkpoint.safetensors", "history.csv"):
+        assert (other / name).read_bytes() == (only_run(outputs) / name).read_bytes()
+    trained = [json.loads((folder / "metrics.json").read_text())["train"] for folder in (other, only_run(outputs))]
+    assert trained[0] == trained[1]
+    anew = negopipe(*arguments, "evaluation.leading_setting=push", "rerun=true")
+    assert anew.returncode == 0, anew.stderr
+    assert "taken over" not in anew.stdout
+    with closing(sqlite3.connect(outputs / "mlflow" / "mlflow.db")) as connection:
+        query = "SELECT count(*) FROM metrics WHERE key = 'train/kl' GROUP BY run_uuid"
+        assert connection.execute(query).fetchall() == [(6,)] * 3

@@ -236,12 +236,16 @@ def test_a_first_start_is_quiet_and_stays_in_outputs(
 def test_a_killed_run_goes_on_in_its_record_and_writes_nothing_twice(config: StoreConfig) -> None:
     file = Path(config.outputs) / "again.safetensors"
     file.write_bytes(b"weights")
-    with pytest.raises(SystemExit), open_run(config, "seed1-o", {"a": 1}, source="x") as first:
+
+    def stop() -> None:
         first.log_metrics({"loss": 0.0}, 0)
         first.log_metrics({"loss": 1.0}, 1)
         first.log_checkpoint(file, 1, {})
         first.mark_finished("train", "key")
         raise SystemExit(143)
+
+    with pytest.raises(SystemExit), open_run(config, "seed1-o", {"a": 1}, source="x") as first:
+        stop()
     with open_run(config, "seed1-o", {"a": 2, "b": 3}, source="x") as again:
         assert record_of(config, again).info.status == "RUNNING"
         assert again.has_finished("train", "key")
