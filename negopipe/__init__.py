@@ -14,7 +14,8 @@ The map, from the bottom up (a part imports only what stands above it here):
     report/       figures, animation, page     tracking/   MLflow store, checkpoints, snapshots
     stages/       train, evaluate, report, behaviour_map, oracle, benchmark: each a function of config and run;
                   what is stopped goes on from its last snapshot
-    config        RunConfig, the root schema   identity  which results are the same   __main__   the command line   gym_env   gymnasium's door
+    config        RunConfig, the root schema   identity   which results are the same
+    __main__      the command line             gym_env    gymnasium's door
 
 One decision (E worlds, V vehicles)
     action [E] -> horizon [E, V] (ego from the action, social from its style) -> perceive -> predict

@@ -1,15 +1,17 @@
 """The oracle: for each task the best sequence of prediction horizons that a search finds, knowing everything.
 
 An episode is a function of its task and of the ego's horizons, so a search may play it with the true social drivers
-as often as it likes. What it finds is the limit that a planner's regret is measured against. The search begins with all
-sequences of one switch at a grid of times, since committing early decides, and climbs from the best of them: every
-round it changes the best sequence of each task at random and keeps the best. That proves no optimum; what more of it
-still gains is measured instead (`negopipe.stages.oracle`).
+as often as it likes. What it finds is the limit that a planner's regret is measured against. The search begins with
+all sequences of up to two switches at a grid of times, since committing early decides and "wait, then push" is hard
+to come upon by small changes. It climbs from the best of them: every round it changes the best sequence of each task
+at random and keeps the best. That proves no optimum; what more of it still gains is measured instead
+(`negopipe.stages.oracle`).
 
 Axes: N tasks, C candidates per task and round, R sequences that are played at once, T decisions.
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Annotated
 
 import torch
@@ -26,6 +28,8 @@ SHIFT_CHANCE = 0.3
 MAX_SHIFT_STEPS = 3
 SWITCH_STEPS = range(4, 48, 4)
 """Steps at which the sequences of one switch have it: every 0.8 s until both could have passed."""
+SWITCH_PAIRS = tuple(combinations(range(8, 48, 8), 2))
+"""... and those of two: every 1.6 s."""
 SECOND_PIECE_CHANCE = 0.5
 
 
@@ -110,13 +114,15 @@ class Rollouts:
 
 
 def best_simple(rollouts: Rollouts, tasks: Task) -> Sequences:
-    """[N]: the best of each task's sequences of no switch or one, where the search starts."""
-    fixed = torch.arange(rollouts.n_actions, device=tasks.family.device)[:, None].expand(-1, rollouts.n_steps)
-    best = _best(rollouts, tasks, fixed.expand(len(tasks), -1, -1), None)
-    step = torch.arange(rollouts.n_steps, device=fixed.device)
-    for at in SWITCH_STEPS:
-        pairs = torch.where(step < at, fixed[:, None], fixed[None]).flatten(0, 1)
-        found = _best(rollouts, tasks, pairs.expand(len(tasks), -1, -1), best.score)
+    """[N]: the best of each task's sequences of no switch, one or two, where the search starts."""
+    device = tasks.family.device
+    fixed = torch.arange(rollouts.n_actions, device=device)[:, None]
+    best = _best(rollouts, tasks, fixed.expand(len(tasks), -1, rollouts.n_steps), None)
+    for switches in (*[(at,) for at in SWITCH_STEPS], *SWITCH_PAIRS):
+        parts = torch.cartesian_prod(*[fixed[:, 0]] * (1 + len(switches)))  # [R, parts]
+        step = torch.arange(rollouts.n_steps, device=device)
+        part = sum((step >= at).long() for at in switches)
+        found = _best(rollouts, tasks, parts[:, part].expand(len(tasks), -1, -1), best.score)
         best = where_world(found.score >= best.score, found, best)
     return best
 

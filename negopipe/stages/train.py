@@ -3,6 +3,8 @@
 import logging
 import time
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,14 +47,15 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     with ProgressLine("train", training.n_total, n_done=training.n_done) as progress, AskedToStop() as asked_to_stop:
         while training.n_done < training.n_total:
             row = training.iterate()
-            run.log_metrics(training.curve.scalars(row), step=row["decisions"])
             progress.advance(training.curve.text(row))
-            if training.is_at_stage_end:
-                _save(config, run, training)
             is_due = time.monotonic() - last_s >= config.tracking.snapshot_period_s
-            if is_due or asked_to_stop():
-                training.save_to(snapshots)
-                last_s = time.monotonic()
+            with training.curve.tracking():
+                run.log_metrics(training.curve.scalars(row), step=row["decisions"])
+                if training.is_at_stage_end:
+                    _save(config, run, training)
+                if is_due or asked_to_stop():
+                    training.save_to(snapshots)
+                    last_s = time.monotonic()
             asked_to_stop.obey()
     run.update_metrics_json({"train": training.curve.summary()})
     snapshots.remove()
@@ -137,6 +140,7 @@ class LearningCurve:
         self._n_per_iteration = n_decisions_per_iteration
         self._recent: deque[tuple[float, ...]] = deque(maxlen=N_RECENT_EPISODES)
         self._started_s = self._last_s = time.monotonic()
+        self._tracking_s = 0.0
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -164,7 +168,7 @@ class LearningCurve:
 
     def state_dict(self) -> dict[str, Any]:
         """All of it, as JSON can say it."""
-        return {"rows": self.rows, "recent": list(self._recent), "wall_s": time.monotonic() - self._started_s}
+        return {"rows": self.rows, "recent": list(self._recent), **self._times()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on where `state_dict` was taken; the time between does not count."""
@@ -172,6 +176,14 @@ class LearningCurve:
         self._recent.extend(tuple(episode) for episode in state["recent"])
         self._last_s = time.monotonic()
         self._started_s = self._last_s - state["wall_s"]
+        self._tracking_s = state["tracking_s"]
+
+    @contextmanager
+    def tracking(self) -> Iterator[None]:
+        """What is done meanwhile is not training but keeping a record of it."""
+        started_s = time.monotonic()
+        yield
+        self._tracking_s += time.monotonic() - started_s
 
     def scalars(self, row: dict) -> dict[str, float]:
         """The row's numbers under their names in the dashboard."""
@@ -185,9 +197,17 @@ class LearningCurve:
         return f"{row['stage']} {went} {row['decisions_per_s']:5.0f} decisions/s"
 
     def summary(self) -> dict[str, float]:
-        """The `train` part of metrics.json."""
-        decisions, wall_s = self.rows[-1]["decisions"], time.monotonic() - self._started_s
-        return {"decisions": decisions, "wall_s": wall_s, "decisions_per_s": decisions / wall_s}
+        """The `train` part of metrics.json; tracking_share is that of the time, store and snapshots together."""
+        decisions, times = self.rows[-1]["decisions"], self._times()
+        return {
+            "decisions": decisions,
+            "wall_s": times["wall_s"],
+            "decisions_per_s": decisions / times["wall_s"],
+            "tracking_share": times["tracking_s"] / times["wall_s"],
+        }
+
+    def _times(self) -> dict[str, float]:
+        return {"wall_s": time.monotonic() - self._started_s, "tracking_s": self._tracking_s}
 
     def write(self, path: Path) -> None:
         pd.DataFrame(self.rows).to_csv(path, index=False)

@@ -38,6 +38,7 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def without_durations(metrics: dict[str, Any]) -> dict[str, Any]:
     assert metrics["train"].pop("wall_s") > 0
     assert metrics["train"].pop("decisions_per_s") > 0
+    assert 0 < metrics["train"].pop("tracking_share") < 1
     return metrics
 
 
