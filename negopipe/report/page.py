@@ -172,7 +172,8 @@ def headline(setting: str, measures: Mapping[str, Measures]) -> tuple[str, str]:
 def _verdict(ours: Measures, theirs: Measures, rival: str) -> str:
     ahead = ours["success_rate"] - theirs["success_rate"]
     if abs(ahead) > 2 * _standard_error(ours, theirs):
-        points = f"{100 * abs(ahead):.0f} points of success rate"
+        n_points = 100 * abs(ahead)
+        points = f"{n_points:.{0 if n_points >= 10 else 1}f} points of success rate"
         return f"the adaptive planner {'beats' if ahead > 0 else 'loses to'} {rival} by {points}"
     if not (ours["driving_time_s"] and theirs["driving_time_s"]):
         return f"the adaptive planner and {rival} succeed equally often"
