@@ -8,6 +8,7 @@ from tracked import RecordedRun
 from negopipe.config import RunConfig, run_name
 from negopipe.env import Game
 from negopipe.errors import UserError
+from negopipe.evaluation import oracle as search
 from negopipe.gym_env import compose_config
 from negopipe.stages import oracle
 from negopipe.stages.evaluate import held_out_tasks
@@ -30,7 +31,10 @@ def tiny(*overrides: str) -> RunConfig:
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
     run = RecordedRun(tmp_path_factory.mktemp("run"))
-    oracle.run(tiny(), run)
+    with pytest.MonkeyPatch.context() as patch:  # a coarse grid to start from, for time
+        patch.setattr(search, "SWITCH_STEPS", (8, 24))
+        patch.setattr(search, "SWITCH_PAIRS", ((8, 24),))
+        oracle.run(tiny(), run)
     return run
 
 
