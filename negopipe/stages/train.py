@@ -75,12 +75,11 @@ class Training:
         self.learner = Acktr(self.policy, algorithm, generator(config.seed, "updates", device))
         tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
         self.n_steps = algorithm.n_steps
-        self._samplers = {
-            stage.name: TaskSampler(config.scenario, stage.families, tasks) for stage in config.curriculum.stages
-        }
-        self._stage_of = [stage.name for stage in config.curriculum.stages for _ in range(stage.n_iterations)]
-        first = self._samplers[self._stage_of[0]]
-        self.env = NegotiationEnv(game, config.reward, config.policy.horizons_s, first, algorithm.n_worlds)
+        self._stages = config.curriculum.stages
+        self._samplers = [TaskSampler(config.scenario, stage.families, tasks) for stage in self._stages]
+        self._stage_of = [index for index, stage in enumerate(self._stages) for _ in range(stage.n_iterations)]
+        horizons_s = config.policy.horizons_s
+        self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds)
         self.running = RunningEpisodes.start(algorithm.n_worlds, device)
         self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)
 
@@ -104,7 +103,7 @@ class Training:
         self.env.sampler = self._samplers[stage]  # T ~ D, a new one per episode
         rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
         metrics = self.learner.update(rollout, self.n_done / self.n_total)
-        return self.curve.add(stage, rollout, metrics)
+        return self.curve.add(self._stages[stage].name, rollout, metrics)
 
     def save_to(self, snapshots: Snapshots) -> None:
         """Write down all that the next iteration depends on."""

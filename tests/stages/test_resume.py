@@ -2,6 +2,7 @@
 
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -67,6 +68,19 @@ def test_it_ends_as_if_it_had_never_been_killed(
     assert checkpoint == undisturbed[0]
     pd.testing.assert_frame_equal(history, undisturbed[1], check_exact=True)
     assert not (tmp_path / "snapshots").exists()
+
+
+def test_stages_of_one_name_are_two_stages(tmp_path: Path) -> None:
+    config = compose_config([*SMALL, "curriculum=smoke"])
+    first, second, *_ = config.curriculum.stages
+    near = {"yield": replace(first.families["yield"], start_distance_m=(12.0, 12.0))}
+    stages = (replace(first, n_iterations=1), replace(second, name=first.name, n_iterations=1, families=near))
+    training = train.Training(replace(config, curriculum=replace(config.curriculum, stages=stages)))
+    training.iterate()
+    assert training.is_at_stage_end
+    assert set(training.env.sampler.families) == {"push", "yield"}
+    training.iterate()
+    assert set(training.env.sampler.families) == {"yield"}
 
 
 def test_a_signal_waits_for_the_end_of_the_step_and_the_work_is_kept(
