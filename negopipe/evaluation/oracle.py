@@ -115,12 +115,12 @@ class Rollouts:
 
 def best_simple(rollouts: Rollouts, tasks: Task) -> Sequences:
     """[N]: the best of each task's sequences of no switch, one or two, where the search starts."""
-    device = tasks.family.device
-    fixed = torch.arange(rollouts.n_actions, device=device)[:, None]
-    best = _best(rollouts, tasks, fixed.expand(len(tasks), -1, rollouts.n_steps), None)
+    fixed = torch.arange(rollouts.n_actions, device=tasks.family.device)
+    step = torch.arange(rollouts.n_steps, device=fixed.device)
+    best = _best(rollouts, tasks, fixed[:, None].expand(len(tasks), -1, len(step)), None)
     for switches in (*[(at,) for at in SWITCH_STEPS], *SWITCH_PAIRS):
-        parts = torch.cartesian_prod(*[fixed[:, 0]] * (1 + len(switches)))  # [R, parts]
-        step = torch.arange(rollouts.n_steps, device=device)
+        parts = torch.cartesian_prod(*[fixed] * (1 + len(switches)))  # [R, parts]
+        parts = parts[(parts.diff(dim=1) != 0).all(1)]  # else one with fewer switches, which has been played
         part = sum((step >= at).long() for at in switches)
         found = _best(rollouts, tasks, parts[:, part].expand(len(tasks), -1, -1), best.score)
         best = where_world(found.score >= best.score, found, best)
