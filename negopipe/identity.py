@@ -22,6 +22,9 @@ DEPENDS_ON = {
 }
 """Groups of the config that a stage's result depends on, those of the stages that it builds on included."""
 
+STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report")
+"""... and of a checkpoint, if one is named: evaluated is what was trained from it or, without training, itself."""
+
 NOT_TRAINED_ON = ("families",)
 """Of the scenario: training draws from the curriculum's families."""
 ONLY_SHOWN = ("leading_setting",)
@@ -36,8 +39,9 @@ def stage_key(config: RunConfig, stage: str) -> str:
         relevant["scenario"] = _without(relevant["scenario"], NOT_TRAINED_ON)
     if stage != "report" and "evaluation" in relevant:
         relevant["evaluation"] = _without(relevant["evaluation"], ONLY_SHOWN)
-    if "algorithm" in relevant and config.checkpoint is not None:
-        relevant["checkpoint"] = _digest(find_checkpoint(config.checkpoint, config).read_bytes())
+    if stage in STARTS_FROM_CHECKPOINT and config.checkpoint is not None:
+        start = _digest(find_checkpoint(config.checkpoint, config).read_bytes())
+        relevant["checkpoint"] = [start, "train" in config.stages]
     return _digest(json.dumps(relevant, sort_keys=True).encode())
 
 
