@@ -87,8 +87,15 @@ def run_stages(composed: DictConfig) -> None:
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
         find_checkpoint(config.checkpoint, config)  # before there is a run that could only fail
-    source = source_hash() if config.reuse == "same_code" else None
-    with open_run(config, run_name(config), as_mapping(config), source, is_fresh=config.rerun) as run:
+    opened = open_run(
+        config,
+        run_name(config),
+        as_mapping(config),
+        source_hash(),
+        takes_any_code=config.reuse == "any_code",
+        is_fresh=config.rerun,
+    )
+    with opened as run:
         run.set_tags({"overrides": " ".join(HydraConfig.get().overrides.task)})
         log.info("run        %s", _shown(run.folder))
         config = backend.settle(config, run.folder)
@@ -98,9 +105,9 @@ def run_stages(composed: DictConfig) -> None:
             if run.has_finished(name, key):
                 log.info(f"{name:10} finished before, with the same config (rerun=true runs it again)")
                 continue
-            is_taken = name == "train" and not config.rerun and take_over_training(config, run, key, source)
-            if not is_taken:
-                stage.run(config, run)
+            if name == "train" and not config.rerun and take_over_training(config, run, key):
+                continue
+            stage.run(config, run)
             run.mark_finished(name, key)
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():

@@ -1,9 +1,7 @@
 """Checkpoints: tensors and JSON in one safetensors file, so that loading one runs no code."""
 
 import json
-import os
 import re
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +11,7 @@ from torch import Tensor
 
 from negopipe.errors import UserError
 from negopipe.tracking.store import StoreConfig, find_store
+from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -31,17 +30,7 @@ def save_checkpoint(path: Path, tensors: dict[str, Tensor], metadata: dict[str, 
     metadata: what JSON can say (counters, the config, names)
     """
     on_cpu = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}
-    content = save(on_cpu, {_METADATA_KEY: json.dumps(metadata)})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-        try:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-            os.replace(file.name, path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
+    write_whole(path, save(on_cpu, {_METADATA_KEY: json.dumps(metadata)}))
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -2,10 +2,11 @@
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from negopipe.tracking.whole_file import write_whole
 
 
 def merge_into(path: Path, section: Mapping[str, Any]) -> None:
@@ -14,9 +15,7 @@ def merge_into(path: Path, section: Mapping[str, Any]) -> None:
     Keys are sorted, NaN and infinity become null, numbers of numpy and torch plain ones.
     """
     merged = json.dumps(_plain(_merge(read(path), section)), sort_keys=True, indent=2, allow_nan=False)
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_text(merged + "\n", encoding="utf-8")
-    os.replace(draft, path)
+    write_whole(path, (merged + "\n").encode())
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -2,9 +2,12 @@
 
 import json
 import logging
-import os
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from negopipe.tracking.whole_file import write_whole
 
 RECORD_NAME = "record.json"
 
@@ -16,13 +19,22 @@ class RunRecord:
     """The run in a folder.
 
     run_id: its id in the store
-    source: hash of the code that made it (`negopipe.identity.source_hash`)
-    finished: stages that are finished, each with the hash of the config that it depends on
+    source: hash of the code that worked on it last (`negopipe.identity.source_hash`)
+    finished: by stage the hashes `config` (of what it depends on) and `source` (of the code that made it)
     """
 
     run_id: str
     source: str
-    finished: dict[str, str] = field(default_factory=dict)
+    finished: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def has_finished(self, stage: str, key: str, source: str | None) -> bool:
+        """The stage was run to its end with the config of hash `key`, by the code of hash `source`; None = any."""
+        made = self.finished.get(stage)
+        return made is not None and made["config"] == key and source in (None, made["source"])
+
+    def with_finished(self, stage: str, key: str, source: str) -> "RunRecord":
+        """This record after the stage has come to its end."""
+        return replace(self, finished={**self.finished, stage: {"config": key, "source": source}})
 
 
 def read_record(folder: Path) -> RunRecord | None:
@@ -31,14 +43,11 @@ def read_record(folder: Path) -> RunRecord | None:
     if not path.exists():
         return None
     try:
-        return RunRecord(**json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, TypeError) as error:
-        log.warning(f"record     left out: {path} is no record of a run: {error}")
+        return TypeAdapter(RunRecord).validate_json(path.read_bytes())
+    except ValueError as error:
+        log.warning(f"record     left out: {path} is no record of a run: {str(error).splitlines()[0]}")
         return None
 
 
 def write_record(folder: Path, record: RunRecord) -> None:
-    """Write it whole or not at all."""
-    draft = folder / f".{RECORD_NAME}.{os.getpid()}"
-    draft.write_text(json.dumps(asdict(record), indent=2) + "\n", encoding="utf-8")
-    os.replace(draft, folder / RECORD_NAME)
+    write_whole(folder / RECORD_NAME, (json.dumps(asdict(record), indent=2) + "\n").encode())

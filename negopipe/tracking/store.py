@@ -68,12 +68,18 @@ class StoreConfig(Protocol):
 
 @contextmanager
 def open_run(
-    config: StoreConfig, run_name: str, resolved: dict[str, Any], source: str | None = None, is_fresh: bool = False
+    config: StoreConfig,
+    run_name: str,
+    resolved: dict[str, Any],
+    source: str = "",
+    takes_any_code: bool = False,
+    is_fresh: bool = False,
 ) -> Iterator["TrackedRun"]:
     """A run folder `<outputs>/<name>/<run_name>`, held by this process, and its record in the store.
 
     resolved: the full config as plain mappings; it becomes the run's parameters and its config.yaml
-    source: hash of the code; a run that other code began is not gone on with. None = any code may go on
+    source: hash of the code; a run that other code has worked on is not gone on with
+    takes_any_code: but for this, it is
     is_fresh: begin anew in any case
 
     The record ends as FINISHED, as FAILED on an exception, and as KILLED when the process is told to stop.
@@ -88,9 +94,10 @@ def open_run(
             _hold(lock, folder)
             client = connect(outputs, config.tracking.uri)
             _close_dead_runs(client, own_folder=folder)
-            record = None if is_fresh else _continued(read_record(folder), source)
-            run = _reopen(client, config, folder, record) if record else None
-            run = run or _create_run(client, config, folder, source or "")
+            accepted = None if takes_any_code else source
+            record = None if is_fresh else _continued(read_record(folder), accepted)
+            run = _reopen(client, config, folder, replace(record, source=source), accepted) if record else None
+            run = run or _create_run(client, config, folder, source, accepted)
         with _final_status(run):
             run.log_config(resolved)
             yield run
@@ -112,6 +119,7 @@ class TrackedRun:
 
     folder: absolute path, created
     run_id: MLflow's id
+    accepted: hash of the code whose finished stages count; None = any
     is_continued: it was begun by an earlier process, whose entries in the store stay
     """
 
@@ -122,10 +130,12 @@ class TrackedRun:
         folder: Path,
         record: RunRecord,
         experiment_id: str,
+        accepted: str | None = None,
         is_continued: bool = False,
     ) -> None:
         self.folder = folder
         self.run_id = record.run_id
+        self.accepted = accepted
         self.is_continued = is_continued
         self._record = record
         self._last_step: dict[str, int] = {}
@@ -145,12 +155,15 @@ class TrackedRun:
 
     def has_finished(self, stage: str, key: str) -> bool:
         """The stage has been run to its end in this folder, with the config that `key` is the hash of."""
-        return self._record.finished.get(stage) == key
+        return self._record.has_finished(stage, key, self.accepted)
 
-    def mark_finished(self, stage: str, key: str) -> None:
-        """From now on the stage need not be run again; what it logged is in the store."""
+    def mark_finished(self, stage: str, key: str, source: str | None = None) -> None:
+        """From now on the stage need not be run again; what it logged is in the store.
+
+        source: hash of the code that made it, if not of this process
+        """
         self.flush()
-        self._record = replace(self._record, finished={**self._record.finished, stage: key})
+        self._record = self._record.with_finished(stage, key, source or self._record.source)
         write_record(self.folder, self._record)
 
     def log_params(self, params: Mapping[str, Any]) -> None:
@@ -291,15 +304,17 @@ def _hold(lock: FileLock, folder: Path) -> None:
         raise UserError(f"the run folder {folder} is in use by another process: {hint}") from error
 
 
-def _continued(record: RunRecord | None, source: str | None) -> RunRecord | None:
+def _continued(record: RunRecord | None, accepted: str | None) -> RunRecord | None:
     """The record of a run to go on with, if there is one."""
-    if record is not None and source not in (None, record.source):
+    if record is not None and accepted not in (None, record.source):
         log.info("run        begins anew: other code made what is there (reuse=any_code takes it all the same)")
         return None
     return record
 
 
-def _reopen(client: "MlflowClient", config: StoreConfig, folder: Path, record: RunRecord) -> TrackedRun | None:
+def _reopen(
+    client: "MlflowClient", config: StoreConfig, folder: Path, record: RunRecord, accepted: str | None
+) -> TrackedRun | None:
     """The run of a record, RUNNING again; None where the store has lost it."""
     from mlflow.exceptions import MlflowException
 
@@ -310,10 +325,13 @@ def _reopen(client: "MlflowClient", config: StoreConfig, folder: Path, record: R
     client.update_run(record.run_id, status="RUNNING")
     for key, value in _process_tags(folder).items():
         client.set_tag(record.run_id, key, value)
-    return TrackedRun(client, config.tracking, folder, record, info.experiment_id, is_continued=True)
+    write_record(folder, record)
+    return TrackedRun(client, config.tracking, folder, record, info.experiment_id, accepted, is_continued=True)
 
 
-def _create_run(client: "MlflowClient", config: StoreConfig, folder: Path, source: str) -> TrackedRun:
+def _create_run(
+    client: "MlflowClient", config: StoreConfig, folder: Path, source: str, accepted: str | None
+) -> TrackedRun:
     name = config.tracking.experiment
     found = client.get_experiment_by_name(name)
     is_served = (config.tracking.uri or "").startswith(("http:", "https:"))  # and has a place of its own
@@ -323,7 +341,7 @@ def _create_run(client: "MlflowClient", config: StoreConfig, folder: Path, sourc
     shutil.rmtree(folder / SNAPSHOTS_NAME, ignore_errors=True)  # of a run that is not gone on with
     record = RunRecord(run_id, source)
     write_record(folder, record)
-    return TrackedRun(client, config.tracking, folder, record, experiment_id)
+    return TrackedRun(client, config.tracking, folder, record, experiment_id, accepted)
 
 
 def _process_tags(folder: Path) -> dict[str, str]:

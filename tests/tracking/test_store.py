@@ -265,20 +265,32 @@ def test_a_killed_run_goes_on_in_its_record_and_writes_nothing_twice(config: Sto
 
 
 @pytest.mark.parametrize(
-    ("source", "is_fresh", "is_same"),
-    [("x", False, True), (None, False, True), ("y", False, False), ("x", True, False)],
+    ("source", "takes_any_code", "is_fresh", "is_same"),
+    [("x", False, False, True), ("y", True, False, True), ("y", False, False, False), ("x", True, True, False)],
 )
 def test_other_code_and_who_asks_for_it_begin_anew(
-    config: StoreConfig, source: str | None, is_fresh: bool, is_same: bool
+    config: StoreConfig, source: str, takes_any_code: bool, is_fresh: bool, is_same: bool
 ) -> None:
-    name = f"seed1-p{source}{is_fresh}"
+    name = f"seed1-p{source}{takes_any_code}{is_fresh}"
     with open_run(config, name, {}, source="x") as first:
         first.mark_finished("train", "key")
         (first.folder / "snapshots").mkdir()
-    with open_run(config, name, {}, source, is_fresh) as second:
+    with open_run(config, name, {}, source, takes_any_code, is_fresh) as second:
         assert (second.run_id == first.run_id) == is_same
         assert second.has_finished("train", "key") == is_same
         assert (second.folder / "snapshots").exists() == is_same
+
+
+def test_what_other_code_finished_counts_only_where_any_code_does(config: StoreConfig) -> None:
+    with open_run(config, "seed1-r", {}, source="x") as first:
+        first.mark_finished("train", "key")
+    with open_run(config, "seed1-r", {}, source="y", takes_any_code=True) as any_code:
+        any_code.mark_finished("evaluate", "key")
+        assert any_code.has_finished("train", "key")
+    with open_run(config, "seed1-r", {}, source="y") as same_code:
+        assert same_code.run_id == first.run_id
+        assert same_code.has_finished("evaluate", "key")
+        assert not same_code.has_finished("train", "key")
 
 
 def test_a_record_that_is_damaged_or_lost_by_the_store_begins_anew(
