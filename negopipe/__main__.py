@@ -91,12 +91,12 @@ def run_stages(composed: DictConfig) -> None:
         config,
         run_name(config),
         as_mapping(config),
-        source_hash(),
+        tags={"overrides": " ".join(HydraConfig.get().overrides.task)},
+        source=source_hash(),
         takes_any_code=config.reuse == "any_code",
         is_fresh=config.rerun,
     )
     with opened as run:
-        run.set_tags({"overrides": " ".join(HydraConfig.get().overrides.task)})
         log.info("run        %s", _shown(run.folder))
         config = backend.settle(config, run.folder)
         backend.prepare(config)
@@ -105,6 +105,7 @@ def run_stages(composed: DictConfig) -> None:
             if run.has_finished(name, key):
                 log.info(f"{name:10} finished before, with the same config (rerun=true runs it again)")
                 continue
+            run.begin()
             if name == "train" and not config.rerun and take_over_training(config, run, key):
                 continue
             stage.run(config, run)

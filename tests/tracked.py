@@ -27,6 +27,9 @@ class RecordedRun:
     def log_checkpoint(self, path: Path, step: int, metrics: dict[str, float]) -> None:
         self.log_artifact(path, f"step_{step}")
 
+    def sync(self) -> None:
+        pass
+
     def update_metrics_json(self, section: dict[str, Any]) -> None:
         self.sections |= section
 

@@ -32,7 +32,7 @@ def take_over_training(config: "RunConfig", run: "TrackedRun", key: str) -> bool
             continue
         if all((folder / name).is_file() for name in PRODUCTS):
             _copy(folder, run)
-            run.set_tags({"train.taken_from": record.run_id})
+            run.set_tags({"train.taken_from": f"{folder.parent.name}/{folder.name}"})
             run.mark_finished("train", key, record.finished["train"]["source"])
             log.info(f"train      taken over from {folder}, which trained with the same config")
             return True

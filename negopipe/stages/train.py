@@ -54,6 +54,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
                 if training.is_at_stage_end:
                     _save(config, run, training)
                 if is_due or asked_to_stop():
+                    run.sync()  # what the snapshot stands for is not logged again
                     training.save_to(snapshots)
                     last_s = time.monotonic()
             asked_to_stop.obey()

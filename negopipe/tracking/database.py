@@ -23,6 +23,12 @@ _LOCATIONS = (
 )
 """Columns of MLflow's database that hold artifact locations."""
 
+_IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "5"}
+"""MLflow would wait for a server for minutes. Here what cannot be sent stays in the journal and is sent later."""
+_SQLITE = "sqlite:///"
+_CHECKED_BYTES = 100_000_000
+"""Larger databases are not read through at a start: it would take seconds."""
+
 
 def database_path(outputs: Path) -> Path:
     """The SQLite file of an outputs folder; it need not exist."""
@@ -41,27 +47,77 @@ def store_lock(outputs: Path) -> FileLock:
     return FileLock(folder / "store.lock")
 
 
+def is_served(uri: str | None) -> bool:
+    """The store at `uri` is a server's, which knows where to keep artifacts."""
+    return (uri or "").startswith(("http:", "https:"))
+
+
 def connect(outputs: Path, uri: str | None) -> "MlflowClient":
     """A client of the store at `uri`, None = the database of `outputs`, which is made if need be.
 
-    Hold `store_lock`. Raises UserError if MLflow cannot open `uri`.
+    A server is not asked yet whether it is there. Hold `store_lock`. Raises UserError if MLflow cannot open `uri`.
     """
+    for name, value in _IMPATIENT.items():
+        os.environ.setdefault(name, value)
     from mlflow import MlflowClient
     from mlflow.exceptions import MlflowException
-    from mlflow.tracking import set_tracking_uri
 
     for logger in ("mlflow", "alembic"):
         logging.getLogger(logger).setLevel(logging.WARNING)
     try:
         if uri is None:
             database = database_path(outputs)
-            _follow_move(database, outputs) if database.exists() else _create(database)
-            uri = f"sqlite:///{database}"
-        set_tracking_uri(uri)  # the model registry asks for it behind the client's back
+            if database.exists():
+                _check(database)
+                _follow_move(database, outputs)
+            else:
+                _create(database)
+            uri = f"{_SQLITE}{database}"
+        elif uri.startswith(_SQLITE):
+            _check_place(Path(uri.removeprefix(_SQLITE)))
+        _set_tracking_uri(uri)
         return MlflowClient()
     except MlflowException as error:
         reason = str(error).splitlines()[0]
         raise UserError(f"tracking.uri must be a store that MLflow can open, got {uri}: {reason}") from error
+
+
+def _check_place(database: Path) -> None:
+    if database.exists():
+        _check(database)
+    elif not database.parent.is_dir():
+        raise UserError(f"tracking.uri must name a file in an existing folder, got {_SQLITE}{database}")
+
+
+def _set_tracking_uri(uri: str) -> None:
+    """For the model registry, which asks for it behind the client's back; the environment stays as it was, since
+    the next run of this process may have another store."""
+    from mlflow.tracking import set_tracking_uri
+
+    before = os.environ.get("MLFLOW_TRACKING_URI")
+    set_tracking_uri(uri)
+    if before is None:
+        os.environ.pop("MLFLOW_TRACKING_URI", None)
+    else:
+        os.environ["MLFLOW_TRACKING_URI"] = before
+
+
+def _check(database: Path) -> None:
+    """UserError if the file is damaged: MLflow would try to open it for minutes."""
+    try:
+        with closing(sqlite3.connect(database)) as connection:
+            connection.execute("SELECT version_num FROM alembic_version").fetchone()
+            is_quick = database.stat().st_size <= _CHECKED_BYTES
+            (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone() if is_quick else ("ok",)
+    except sqlite3.OperationalError as error:
+        if "no such table" not in str(error):  # not damaged but out of reach
+            raise OSError(str(error), str(database)) from error
+        verdict = str(error)
+    except sqlite3.DatabaseError as error:
+        verdict = str(error)
+    if verdict != "ok":
+        mend = "move it away, then python -m negopipe.tracking.deliver <outputs> makes it anew from the run folders"
+        raise UserError(f"the store {database} is damaged ({verdict.splitlines()[-1]}): {mend}")
 
 
 def _create(database: Path) -> None:
@@ -72,6 +128,8 @@ def _create(database: Path) -> None:
         left_behind.unlink()
     draft = database.with_name(f"{uuid.uuid4().hex}.draft")  # a name anew: MLflow remembers what it has opened
     MlflowClient(f"sqlite:///{draft}")
+    for companion in ("-wal", "-shm"):  # of a database that was moved away without them
+        database.with_name(database.name + companion).unlink(missing_ok=True)
     os.replace(draft, database)
     with closing(sqlite3.connect(database)) as connection:  # write-ahead log: readers no longer block the writer
         connection.execute("PRAGMA journal_mode=WAL")

@@ -18,13 +18,15 @@ log = logging.getLogger("negopipe")
 class RunRecord:
     """The run in a folder.
 
-    run_id: its id in the store
+    key: the run's own id, the same in every store (`negopipe.tracking.delivery.KEY_TAG`)
     source: hash of the code that worked on it last (`negopipe.identity.source_hash`)
+    tags: what the store is told of the run beside its config
     finished: by stage the hashes `config` (of what it depends on) and `source` (of the code that made it)
     """
 
-    run_id: str
+    key: str
     source: str
+    tags: dict[str, str] = field(default_factory=dict)
     finished: dict[str, dict[str, str]] = field(default_factory=dict)
 
     def has_finished(self, stage: str, key: str, source: str | None) -> bool:

@@ -1,7 +1,10 @@
-"""The MLflow store and one run's record in it: parameters, metrics, artifacts, checkpoints, status.
+"""One run: its folder, what it tells the store, and how both end.
 
-A run folder belongs to one process at a time (`<folder>/.lock`). The lock also tells who is alive: a record
-that says RUNNING while nobody holds its folder was left by a dead process, and the next start closes it.
+A run folder belongs to one process at a time (`<folder>/.lock`). The lock also tells who is alive: a run that says
+RUNNING in the store while nobody holds its folder was left by a dead process, and the next start closes it.
+
+What a run has to tell goes to its journal first and from there to the store, so that a store which is out of reach
+stops nobody and misses nothing.
 """
 
 import logging
@@ -10,6 +13,7 @@ import re
 import shutil
 import socket
 import time
+import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,9 +25,12 @@ from filelock import FileLock, Timeout
 
 from negopipe.errors import UserError
 from negopipe.schema import PositiveFloat, PositiveInt, schema
-from negopipe.tracking.database import artifact_location, connect, database_path, store_lock
+from negopipe.tracking.database import connect, database_path, store_lock
+from negopipe.tracking.delivery import Delivery
+from negopipe.tracking.journal import Journal
 from negopipe.tracking.metrics_file import merge_into
 from negopipe.tracking.record import RunRecord, read_record, write_record
+from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -34,12 +41,16 @@ METRICS_NAME = "metrics.json"
 HISTORY_NAME = "history.csv"
 SNAPSHOTS_NAME = "snapshots"
 """Folder of a run in which an unfinished training is kept."""
+CHECKPOINTS_NAME = "checkpoints"
+"""... and that of the checkpoints which the store is given, a folder per step."""
 CONFIG_NAME = "config.yaml"
+LOCK_NAME = ".lock"
 
-_HOST_TAG, _FOLDER_TAG, _PID_TAG = "host", "folder", "pid"
+HOST_TAG, FOLDER_TAG, PID_TAG = "host", "folder", "pid"
 _PARAM_CHARACTERS = 6000
-_PARAMS_PER_CALL = 100
-_METRICS_PER_CALL = 1000
+_PAUSE_PER_TRY = 20
+"""A store that is out of reach is tried again after so many times as long as the last try took: waiting for an
+answer costs a training 5 % of its time at most."""
 
 
 @schema
@@ -71,35 +82,37 @@ def open_run(
     config: StoreConfig,
     run_name: str,
     resolved: dict[str, Any],
+    tags: Mapping[str, str] | None = None,
     source: str = "",
     takes_any_code: bool = False,
     is_fresh: bool = False,
 ) -> Iterator["TrackedRun"]:
-    """A run folder `<outputs>/<name>/<run_name>`, held by this process, and its record in the store.
+    """A run folder `<outputs>/<name>/<run_name>`, held by this process. The store hears of it from `begin` on.
 
     resolved: the full config as plain mappings; it becomes the run's parameters and its config.yaml
+    tags: what the store is told beside
     source: hash of the code; a run that other code has worked on is not gone on with
     takes_any_code: but for this, it is
     is_fresh: begin anew in any case
 
-    The record ends as FINISHED, as FAILED on an exception, and as KILLED when the process is told to stop.
-    Raises UserError if another process holds the folder or the store cannot be opened.
+    A run that is not gone on with is kept beside, as `<run_name>.old1` and so on. What has begun ends as FINISHED, as
+    FAILED on an exception, and as KILLED when the process is told to stop.
+    Raises UserError if another process holds the folder.
     """
     outputs = Path(config.outputs).absolute()
     folder = outputs / config.name / run_name
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / ".lock", blocking=False)
+    accepted = None if takes_any_code else source
+    with store_lock(outputs):  # folders change hands only here, so looking for dead runs disturbs nobody
+        lock = _hold(folder)
+        record = None if is_fresh else _continued(read_record(folder), accepted)
+        if record is None and _set_aside(folder, lock):
+            lock = _hold(folder)
     try:
-        with store_lock(outputs):  # folders change hands only here, so looking for dead runs disturbs nobody
-            _hold(lock, folder)
-            client = connect(outputs, config.tracking.uri)
-            _close_dead_runs(client, own_folder=folder)
-            accepted = None if takes_any_code else source
-            record = None if is_fresh else _continued(read_record(folder), accepted)
-            run = _reopen(client, config, folder, replace(record, source=source), accepted) if record else None
-            run = run or _create_run(client, config, folder, source, accepted)
+        if record is None:
+            record = RunRecord(uuid.uuid4().hex, source)
+            write_record(folder, record)
+        run = TrackedRun(config, folder, replace(record, source=source, tags=dict(tags or {})), resolved, accepted)
         with _final_status(run):
-            run.log_config(resolved)
             yield run
     finally:
         lock.release()
@@ -115,124 +128,104 @@ def find_store(config: StoreConfig) -> "MlflowClient | None":
 
 
 class TrackedRun:
-    """One run: its folder and its record in the store.
+    """One run: its folder and what the store is told of it.
 
     folder: absolute path, created
-    run_id: MLflow's id
+    outputs: the outputs folder, absolute
     accepted: hash of the code whose finished stages count; None = any
-    is_continued: it was begun by an earlier process, whose entries in the store stay
     """
 
     def __init__(
-        self,
-        client: "MlflowClient",
-        tracking: TrackingConfig,
-        folder: Path,
-        record: RunRecord,
-        experiment_id: str,
-        accepted: str | None = None,
-        is_continued: bool = False,
+        self, config: StoreConfig, folder: Path, record: RunRecord, resolved: dict[str, Any], accepted: str | None
     ) -> None:
-        self.folder = folder
-        self.run_id = record.run_id
-        self.accepted = accepted
-        self.is_continued = is_continued
-        self._record = record
-        self._last_step: dict[str, int] = {}
-        self._client = client
-        self._tracking = tracking
-        self._experiment_id = experiment_id
-        self._buffer: list[tuple[str, float, int, int]] = []
-        self._flushed_at_s = time.monotonic()
+        self.folder, self.accepted = folder, accepted
+        self.tracking, self._record, self._resolved = config.tracking, record, resolved
+        self.outputs = Path(config.outputs).absolute()
+        self._journal = Journal(folder)
+        self._delivery = Delivery(folder, self._journal, self.outputs, config.tracking.uri)
+        self._last_step = _last_steps(self._journal)
+        self._client: MlflowClient | None = None
+        self._has_begun = self._is_out_of_reach = False
+        self._n_waiting = 0
+        self._logged = (-1, 0)
+        self._sent_s, self._next_try_s = time.monotonic(), 0.0
 
-    def log_config(self, resolved: dict[str, Any]) -> None:
+    @property
+    def run_id(self) -> str | None:
+        """MLflow's id, once the store has been told of the run."""
+        return self._delivery.done.run_id
+
+    def begin(self) -> None:
+        """From now on the run is RUNNING in the store. UserError where it can be no store, or a damaged one."""
+        if self._has_begun:
+            return
+        try:
+            self._connect()
+        except OSError as error:
+            self._say_out_of_reach(error)
+        write_record(self.folder, self._record)
+        tags = {**self._record.tags, **_process_tags(self.folder)}
+        experiment, key = self.tracking.experiment, self._record.key
+        self._journal.append("begin", experiment=experiment, run_name=self.folder.name, key=key, tags=_cleaned(tags))
+        self._has_begun = True
+        self._log_config()
+        self.deliver()
+
+    def _log_config(self) -> None:
         """The full config: a file in the folder, an artifact and, flattened, the run's parameters."""
-        path = self.folder / CONFIG_NAME
-        path.write_text(yaml.safe_dump(resolved, sort_keys=False, allow_unicode=True), encoding="utf-8")
-        self.log_artifact(path)
-        known = self._client.get_run(self.run_id).data.params if self.is_continued else {}
-        self.log_params({key: value for key, value in flatten(resolved).items() if clean_name(key) not in known})
+        text = yaml.safe_dump(self._resolved, sort_keys=False, allow_unicode=True)
+        write_whole(self.folder / CONFIG_NAME, text.encode())
+        params = {clean_name(key): str(value)[:_PARAM_CHARACTERS] for key, value in flatten(self._resolved).items()}
+        self._journal.append("artifact", path=CONFIG_NAME, folder="")
+        self._journal.append("params", values=params)
 
     def has_finished(self, stage: str, key: str) -> bool:
         """The stage has been run to its end in this folder, with the config that `key` is the hash of."""
         return self._record.has_finished(stage, key, self.accepted)
 
     def mark_finished(self, stage: str, key: str, source: str | None = None) -> None:
-        """From now on the stage need not be run again; what it logged is in the store.
+        """From now on the stage need not be run again.
 
         source: hash of the code that made it, if not of this process
         """
-        self.flush()
+        self.sync()
         self._record = self._record.with_finished(stage, key, source or self._record.source)
         write_record(self.folder, self._record)
 
-    def log_params(self, params: Mapping[str, Any]) -> None:
-        """Parameters that no one may change any more; long values are cut (config.yaml has them whole)."""
-        from mlflow.entities import Param
-
-        entries = [Param(clean_name(key), str(value)[:_PARAM_CHARACTERS]) for key, value in params.items()]
-        for start in range(0, len(entries), _PARAMS_PER_CALL):
-            self._client.log_batch(self.run_id, params=entries[start : start + _PARAMS_PER_CALL])
-
     def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
-        """Scalars of one step; kept in memory and written in batches, in the order of the calls.
+        """Scalars of one step; sent in batches, in the order of the calls.
 
-        What an earlier process of this run has written is not written twice.
+        What an earlier process of this run has logged is not logged twice.
         """
-        now_ms = time.time_ns() // 1_000_000
-        entries = [(clean_name(key), float(value), now_ms, step) for key, value in metrics.items()]
-        self._buffer += [entry for entry in entries if step > self._step_before(entry[0])]
-        is_late = time.monotonic() - self._flushed_at_s >= self._tracking.flush_period_s
-        if is_late or len(self._buffer) >= self._tracking.n_metrics_per_flush:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write the buffered metrics."""
-        from mlflow.entities import Metric
-
-        entries, self._buffer = [Metric(*entry) for entry in self._buffer], []
-        for start in range(0, len(entries), _METRICS_PER_CALL):
-            self._client.log_batch(self.run_id, metrics=entries[start : start + _METRICS_PER_CALL])
-        self._flushed_at_s = time.monotonic()
-
-    def _step_before(self, key: str) -> int:
-        """The last step of a metric that an earlier process of this run has written."""
-        if not self.is_continued:
-            return -1
-        if key not in self._last_step:
-            written = self._client.get_metric_history(self.run_id, key)
-            self._last_step[key] = max((metric.step for metric in written), default=-1)
-        return self._last_step[key]
+        values = {clean_name(key): float(value) for key, value in metrics.items()}
+        new = {key: value for key, value in values.items() if step > self._last_step.get(key, -1)}
+        if new:
+            self._logged = (step, self._tell("metrics", step=step, values=new))
+        self._n_waiting += len(new)
+        is_late = time.monotonic() - self._sent_s >= self.tracking.flush_period_s
+        if is_late or self._n_waiting >= self.tracking.n_metrics_per_flush:
+            self.deliver()
 
     def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
-        """Copy a file, or a folder with all in it, to the run's artifacts."""
-        log = self._client.log_artifacts if path.is_dir() else self._client.log_artifact
-        log(self.run_id, str(path), artifact_folder or None)
+        """Give the store a copy of a file, or of a folder with all in it."""
+        self._tell("artifact", path=os.path.relpath(path, self.folder), folder=artifact_folder)
+        self.deliver()
 
     def log_checkpoint(self, path: Path, step: int, metrics: Mapping[str, float]) -> None:
         """Record a checkpoint as a model of this run, with the metrics that hold for it at that step.
 
-        It becomes a version of `tracking.registered_model`, if that is set.
+        It becomes a version of `tracking.registered_model`, if that is set. A copy stays in the run folder, so that
+        the store can be given it at any time.
         """
-        from mlflow.entities import LoggedModelOutput
-
-        client = self._client
-        if self.is_continued and self._has_checkpoint(step):
-            return
-        model = client.create_logged_model(
-            self._experiment_id, f"step_{step}", source_run_id=self.run_id, params={"step": str(step)}
-        )
-        client.log_model_artifact(model.model_id, str(path))
-        client.finalize_logged_model(model.model_id, "READY")
-        client.log_outputs(self.run_id, [LoggedModelOutput(model.model_id, step)])
-        for key, value in metrics.items():
-            client.log_metric(self.run_id, clean_name(key), float(value), step=step, model_id=model.model_id)
-        if self._tracking.registered_model is not None:
-            self._register(self._tracking.registered_model, model.model_id)
-
-    def _has_checkpoint(self, step: int) -> bool:
-        outputs = self._client.get_run(self.run_id).outputs
-        return outputs is not None and any(output.step == step for output in outputs.model_outputs)
+        kept = self.folder / CHECKPOINTS_NAME / f"step_{step}" / path.name
+        _keep(path, kept)
+        values = {clean_name(key): float(value) for key, value in metrics.items()}
+        name, place = self.tracking.registered_model, str(kept.relative_to(self.folder))
+        logged_step, logged_ms = self._logged
+        # the same metric at the same time is one, whether it is logged for the run or for the checkpoint
+        time_ms = logged_ms if step == logged_step else None
+        self._tell("checkpoint", time_ms, path=place, step=step, values=values, registered_model=name)
+        self.deliver()
 
     def update_metrics_json(self, section: Mapping[str, Any]) -> None:
         """Merge `section` into the folder's metrics.json.
@@ -247,25 +240,65 @@ class TrackedRun:
         self.set_tags({"mlflow.note.content": markdown})
 
     def set_tags(self, tags: Mapping[str, str]) -> None:
-        for key, value in tags.items():
-            self._client.set_tag(self.run_id, clean_name(key), value)
+        self._tell("tags", values=_cleaned(tags))
+        self.deliver()
+
+    def _tell(self, kind: str, time_ms: int | None = None, **content: Any) -> int:
+        self.begin()
+        return self._journal.append(kind, time_ms, **content)
+
+    def sync(self) -> None:
+        """All that was logged so far is on the disk: the work after it may be known to be done."""
+        self._journal.sync()
+
+    def deliver(self) -> None:
+        """Bring what waits to the store, if it is in reach."""
+        started_s = time.monotonic()
+        if started_s < self._next_try_s:
+            return
+        try:
+            self._delivery.deliver(self._client or self._connect())
+        except _unreachable() as error:
+            self._next_try_s = time.monotonic() + _PAUSE_PER_TRY * (time.monotonic() - started_s)
+            self._say_out_of_reach(error)
+        else:
+            self._say_in_reach()
+            self._n_waiting = 0
+        self._sent_s = time.monotonic()
 
     def close(self, status: str) -> None:
-        """Write what is buffered, add metrics.json to the artifacts, and set the final status."""
-        self.flush()
-        if (self.folder / METRICS_NAME).exists():
-            self.log_artifact(self.folder / METRICS_NAME)
-        self._client.set_terminated(self.run_id, status)
+        """The end: metrics.json goes to the artifacts, the status becomes final, what waits is sent."""
+        if self._has_begun:
+            if (self.folder / METRICS_NAME).exists():
+                self._tell("artifact", path=METRICS_NAME, folder="")
+            self._tell("end", status=status)
+        if not self._delivery.is_complete:
+            self._next_try_s = 0.0
+            self.deliver()
+        if not self._delivery.is_complete:
+            later = f"the same command sends it, or python -m negopipe.tracking.deliver {self.outputs}"
+            log.warning(f"store      has not been given all of {self.folder.name}: {later}")
 
-    def _register(self, name: str, model_id: str) -> None:
-        from mlflow.exceptions import MlflowException
+    def _connect(self) -> "MlflowClient":
+        with store_lock(self.outputs):
+            client = connect(self.outputs, self.tracking.uri)
+            try:
+                _close_dead_runs(client, self)
+            except _unreachable() as error:
+                self._say_out_of_reach(error)
+        self._client = client
+        return client
 
-        try:
-            self._client.create_registered_model(name)
-        except MlflowException as error:
-            if error.error_code != "RESOURCE_ALREADY_EXISTS":
-                raise
-        self._client.create_model_version(name, f"models:/{model_id}", run_id=self.run_id, model_id=model_id)
+    def _say_out_of_reach(self, error: Exception) -> None:
+        if not self._is_out_of_reach:
+            reason = str(error).splitlines()[0][:200]
+            log.warning(f"store      is out of reach, what it is to be told waits in {self._journal.path}: {reason}")
+        self._is_out_of_reach = True
+
+    def _say_in_reach(self) -> None:
+        if self._is_out_of_reach:
+            log.info("store      is in reach, what waited has been sent")
+        self._is_out_of_reach = False
 
 
 def clean_name(name: str) -> str:
@@ -283,12 +316,30 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+def close_if_dead(folder: Path, outputs: Path, uri: str | None, client: "MlflowClient") -> Delivery | None:
+    """Tell a store the rest of a run, and that it was KILLED if it did not end; None if a process works on it.
+
+    Raises MlflowException or OSError where the store is out of reach.
+    """
+    try:
+        with FileLock(folder / LOCK_NAME, blocking=False):
+            journal = Journal(folder)
+            kinds = [entry["kind"] for _, entry in journal.after(0) if entry["kind"] in ("begin", "end")]
+            if kinds and kinds[-1] == "begin":
+                journal.append("end", status="KILLED")
+            delivery = Delivery(folder, journal, outputs, uri)
+            delivery.deliver(client)
+            return delivery
+    except Timeout:
+        return None
+
+
 @contextmanager
 def _final_status(run: TrackedRun) -> Iterator[None]:
     try:
         yield
     except Exception:
-        run.close("FAILED")
+        _close_failed(run)
         raise
     except BaseException:  # Ctrl-C, SIGTERM
         run.close("KILLED")
@@ -296,12 +347,23 @@ def _final_status(run: TrackedRun) -> Iterator[None]:
     run.close("FINISHED")
 
 
-def _hold(lock: FileLock, folder: Path) -> None:
+def _close_failed(run: TrackedRun) -> None:
+    """What made the run fail, a full disk say, may keep it from saying so: then the next start does."""
+    try:
+        run.close("FAILED")
+    except OSError as error:
+        log.warning(f"run        cannot be closed: {error}")
+
+
+def _hold(folder: Path) -> FileLock:
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / LOCK_NAME, blocking=False)
     try:
         lock.acquire()
     except Timeout as error:
         hint = "wait for it or change seed, name or outputs"
         raise UserError(f"the run folder {folder} is in use by another process: {hint}") from error
+    return lock
 
 
 def _continued(record: RunRecord | None, accepted: str | None) -> RunRecord | None:
@@ -312,57 +374,63 @@ def _continued(record: RunRecord | None, accepted: str | None) -> RunRecord | No
     return record
 
 
-def _reopen(
-    client: "MlflowClient", config: StoreConfig, folder: Path, record: RunRecord, accepted: str | None
-) -> TrackedRun | None:
-    """The run of a record, RUNNING again; None where the store has lost it."""
-    from mlflow.exceptions import MlflowException
+def _set_aside(folder: Path, lock: FileLock) -> bool:
+    """Make room for another run: what is in the folder goes to `<folder>.old<n>`; False if there is nothing."""
+    if {path.name for path in folder.iterdir()} <= {LOCK_NAME}:
+        return False
+    lock.release()
+    places = (folder.with_name(f"{folder.name}.old{n}") for n in range(1, 10_000))
+    place = next(path for path in places if not path.exists())
+    folder.rename(place)
+    log.info(f"run        {place.name} keeps what was there")
+    return True
 
+
+def _keep(path: Path, kept: Path) -> None:
+    """A second name for a file that is replaced as a whole when it changes, or else a copy."""
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept.unlink(missing_ok=True)
     try:
-        info = client.get_run(record.run_id).info
-    except MlflowException:
-        return None
-    client.update_run(record.run_id, status="RUNNING")
-    for key, value in _process_tags(folder).items():
-        client.set_tag(record.run_id, key, value)
-    write_record(folder, record)
-    return TrackedRun(client, config.tracking, folder, record, info.experiment_id, accepted, is_continued=True)
+        os.link(path, kept)
+    except OSError:  # a file system that knows no links
+        shutil.copyfile(path, kept)
 
 
-def _create_run(
-    client: "MlflowClient", config: StoreConfig, folder: Path, source: str, accepted: str | None
-) -> TrackedRun:
-    name = config.tracking.experiment
-    found = client.get_experiment_by_name(name)
-    is_served = (config.tracking.uri or "").startswith(("http:", "https:"))  # and has a place of its own
-    location = None if is_served else artifact_location(Path(config.outputs))
-    experiment_id = found.experiment_id if found else client.create_experiment(name, location)
-    run_id = client.create_run(experiment_id, tags=_process_tags(folder), run_name=folder.name).info.run_id
-    shutil.rmtree(folder / SNAPSHOTS_NAME, ignore_errors=True)  # of a run that is not gone on with
-    record = RunRecord(run_id, source)
-    write_record(folder, record)
-    return TrackedRun(client, config.tracking, folder, record, experiment_id, accepted)
+def _last_steps(journal: Journal) -> dict[str, int]:
+    """The last step of every metric that earlier processes of this run have logged."""
+    last: dict[str, int] = {}
+    for _, entry in journal.after(0):
+        if entry["kind"] == "metrics":
+            last |= dict.fromkeys(entry["values"], entry["step"])
+    return last
+
+
+def _cleaned(tags: Mapping[str, str]) -> dict[str, str]:
+    return {clean_name(key): value for key, value in tags.items()}
 
 
 def _process_tags(folder: Path) -> dict[str, str]:
-    return {_HOST_TAG: socket.gethostname(), _PID_TAG: str(os.getpid()), _FOLDER_TAG: str(folder)}
+    return {HOST_TAG: socket.gethostname(), PID_TAG: str(os.getpid()), FOLDER_TAG: str(folder)}
 
 
-def _close_dead_runs(client: "MlflowClient", own_folder: Path) -> None:
+def _unreachable() -> tuple[type[Exception], ...]:
+    """What is raised where a store or its server is gone for a while."""
+    from mlflow.exceptions import MlflowException
+    from sqlalchemy.exc import SQLAlchemyError
+
+    return MlflowException, SQLAlchemyError, OSError, UserError
+
+
+def _close_dead_runs(client: "MlflowClient", run: TrackedRun) -> None:
     """Mark as KILLED what says RUNNING on this host while no process holds its folder."""
     experiments = [experiment.experiment_id for experiment in client.search_experiments()]
-    is_ours = f"attributes.status = 'RUNNING' and tags.{_HOST_TAG} = '{socket.gethostname()}'"
-    for record in client.search_runs(experiments, is_ours):
-        folder = Path(record.data.tags[_FOLDER_TAG])
-        if folder == own_folder or not _is_held(folder):
-            client.set_terminated(record.info.run_id, "KILLED")
-
-
-def _is_held(folder: Path) -> bool:
-    if not folder.exists():
-        return False
-    try:
-        with FileLock(folder / ".lock", blocking=False):
-            return False
-    except Timeout:
-        return True
+    is_ours = f"attributes.status = 'RUNNING' and tags.{HOST_TAG} = '{socket.gethostname()}'"
+    for found in client.search_runs(experiments, is_ours):
+        run_id, folder = found.info.run_id, Path(found.data.tags[FOLDER_TAG])
+        if run_id == run.run_id:
+            continue
+        if folder != run.folder and folder.exists():
+            delivery = close_if_dead(folder, run.outputs, run.tracking.uri, client)
+            if delivery is None or delivery.done.run_id == run_id:
+                continue
+        client.set_terminated(run_id, "KILLED")

@@ -4,6 +4,8 @@ import json
 import logging
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,16 @@ from mlflow.entities import Run
 
 from negopipe.errors import UserError
 from negopipe.tracking.dashboard import chart_addresses
-from negopipe.tracking.store import StoreConfig, TrackedRun, clean_name, find_store, flatten, open_run
+from negopipe.tracking.store import StoreConfig, TrackedRun, clean_name, find_store, flatten
+from negopipe.tracking.store import open_run as open_run_lazily
+
+
+@contextmanager
+def open_run(*arguments: Any, **more: Any) -> Iterator[TrackedRun]:
+    """A run that has something to do, and so is known to the store."""
+    with open_run_lazily(*arguments, **more) as run:
+        run.begin()
+        yield run
 
 
 def but(config: Any, **changes: Any) -> StoreConfig:
@@ -275,7 +286,7 @@ def test_other_code_and_who_asks_for_it_begin_anew(
     with open_run(config, name, {}, source="x") as first:
         first.mark_finished("train", "key")
         (first.folder / "snapshots").mkdir()
-    with open_run(config, name, {}, source, takes_any_code, is_fresh) as second:
+    with open_run(config, name, {}, None, source, takes_any_code, is_fresh) as second:
         assert (second.run_id == first.run_id) == is_same
         assert second.has_finished("train", "key") == is_same
         assert (second.folder / "snapshots").exists() == is_same

@@ -1,0 +1,50 @@
+"""`python -m negopipe.tracking.deliver <outputs> [<uri>]`: tell a store all that it has not been told yet.
+
+After an outage, from a machine without a network to a server, or to make a lost store anew: the run folders have it
+all. Runs that a process works on are left to it, dead ones end as KILLED. Giving it again does no harm.
+"""
+
+import sys
+from pathlib import Path
+
+from negopipe.errors import UserError
+from negopipe.tracking.database import connect, store_lock
+from negopipe.tracking.journal import JOURNAL_NAME
+from negopipe.tracking.store import close_if_dead
+
+
+def deliver(outputs: Path, uri: str | None) -> int:
+    """The number of runs that the store at `uri`, None = the one in `outputs`, knows all of now.
+
+    Raises UserError where it can be no store, MlflowException or OSError where it is out of reach.
+    """
+    outputs = outputs.absolute()
+    folders = [path.parent for path in sorted(outputs.glob(f"*/*/{JOURNAL_NAME}"))]
+    if not folders:
+        raise UserError(f"outputs must be a folder with runs (<outputs>/<name>/<run>), got {outputs}")
+    n_delivered = 0
+    with store_lock(outputs):
+        client = connect(outputs, uri)
+        for folder in folders:
+            is_told = close_if_dead(folder, outputs, uri, client) is not None
+            n_delivered += is_told
+            print(f"{folder.relative_to(outputs)}  {'delivered' if is_told else 'in use, left alone'}", flush=True)
+    return n_delivered
+
+
+def main(arguments: list[str]) -> int:
+    if not 1 <= len(arguments) <= 2 or arguments[0].startswith("-"):
+        print(__doc__)
+        return 0 if arguments in (["-h"], ["--help"]) else 2
+    from mlflow.exceptions import MlflowException
+
+    try:
+        deliver(Path(arguments[0]), arguments[1] if len(arguments) > 1 else None)
+    except (UserError, MlflowException, OSError) as error:
+        print(str(error).splitlines()[0], file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
