@@ -3,6 +3,7 @@
 Nothing heavy is imported before a run starts, so that `--help` and a mistyped key are answered at once.
 """
 
+import errno
 import importlib
 import json
 import logging
@@ -35,6 +36,12 @@ collecting three times slower, and never spinning costs a quarter on idle ones. 
 FAILURES = "NEGOPIPE_FAILURES"
 """Environment variable: the file in which the jobs of a command note why they failed. An exception would not
 do: Hydra prints a line of its own about a job that raises, and of a sweep it tells the first failure only."""
+
+DISK_FAULTS = {
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),  # no room
+    *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR),  # no right, no folder
+}
+GOES_ON = "what was finished is kept and the same command goes on from there"
 
 
 def main() -> int:
@@ -122,7 +129,10 @@ def _note_failure(error: Exception) -> None:
     if not path.is_file():  # HYDRA_FULL_ERROR, or a worker on another machine: leave it to Hydra
         raise error
     line = str(error)
-    if not isinstance(error, UserError):
+    if isinstance(error, OSError) and error.errno in DISK_FAULTS:
+        place = f" {error.filename}" if error.filename else ""
+        line = f"outputs must be a folder that takes what is written, got {error.strerror}:{place}; {GOES_ON}"
+    elif not isinstance(error, UserError):
         traceback.print_exception(error)
         line = f"failed with {type(error).__name__}: {' '.join(HydraConfig.get().overrides.task)}"
     with path.open("a", encoding="utf-8") as file:

@@ -54,7 +54,11 @@ def load_policy(path: Path, policy: ActorCritic, config: "RunConfig") -> None:
         if differing:
             key = differing[0]
             raise UserError(f"{part}.{key} must be {made_with.get(key)} as in the checkpoint {path}, got {wanted[key]}")
-    policy.load_state_dict(tensors)
+    try:
+        policy.load_state_dict(tensors)
+    except RuntimeError as error:  # its metadata says otherwise
+        reason = " ".join(str(error).split())[:200]
+        raise UserError(f"checkpoint must hold the weights of this network, got {path}: {reason}") from error
 
 
 def _plain(value: Any) -> Any:

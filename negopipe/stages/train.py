@@ -1,17 +1,20 @@
 """The train stage: Algorithm 1 of the paper."""
 
 import logging
+import math
 import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import pandas as pd
 import torch
+from torch import Tensor, nn
 
 from negopipe.env import NegotiationEnv
+from negopipe.errors import UserError
 from negopipe.learning.acktr import Acktr
 from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
 from negopipe.nested import put_under, take_from
@@ -34,6 +37,9 @@ log = logging.getLogger("negopipe")
 N_RECENT_EPISODES = 200
 """Episodes that the success rate and mean return of the learning curves are taken over."""
 
+MEANS_OF_EPISODES = ("success_rate", "collision_rate", "return_mean")
+"""Of a row of the learning curve: NaN until an episode has ended."""
+
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Train a policy; writes checkpoint.safetensors, history.csv and the `train` part of metrics.json.
@@ -47,6 +53,8 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     with ProgressLine("train", training.n_total, n_done=training.n_done) as progress, AskedToStop() as asked_to_stop:
         while training.n_done < training.n_total:
             row = training.iterate()
+            if training.not_finite():
+                _stop_at_last_good(config, run, training)
             progress.advance(training.curve.text(row))
             is_due = time.monotonic() - last_s >= config.tracking.snapshot_period_s
             with training.curve.tracking():
@@ -82,6 +90,7 @@ class Training:
         horizons_s = config.policy.horizons_s
         self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds)
         self.running = RunningEpisodes.start(algorithm.n_worlds, device)
+        self.weights_before = _copy(self.policy)
         self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)
 
     @property
@@ -102,9 +111,16 @@ class Training:
         """Collect, update; returns the iteration's row of the learning curve."""
         stage = self._stage_of[self.n_done]  # (K, D) of Algorithm 1
         self.env.sampler = self._samplers[stage]  # T ~ D, a new one per episode
+        self.weights_before = _copy(self.policy)
         rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
         metrics = self.learner.update(rollout, self.n_done / self.n_total)
         return self.curve.add(self._stages[stage].name, rollout, metrics)
+
+    def not_finite(self) -> list[str]:
+        """Measures of the last update and weights that have become NaN or infinite."""
+        measures = [(k, v) for k, v in self.curve.rows[-1].items() if k not in MEANS_OF_EPISODES]
+        wrong = [name for name, value in measures if isinstance(value, float) and not math.isfinite(value)]
+        return wrong + [name for name, weight in self.policy.state_dict().items() if not weight.isfinite().all()]
 
     def save_to(self, snapshots: Snapshots) -> None:
         """Write down all that the next iteration depends on."""
@@ -132,12 +148,16 @@ class Training:
         log.info(f"train      goes on after {self.n_done} of {self.n_total} iterations")
 
 
+def _copy(policy: nn.Module) -> dict[str, Tensor]:
+    return {name: weight.clone() for name, weight in policy.state_dict().items()}
+
+
 class LearningCurve:
     """The training's history: a row per iteration, over the latest episodes."""
 
     def __init__(self, n_decisions_per_iteration: int) -> None:
         self.rows: list[dict] = []
-        self._n_per_iteration = n_decisions_per_iteration
+        self.n_per_iteration = n_decisions_per_iteration
         self._recent: deque[tuple[float, ...]] = deque(maxlen=N_RECENT_EPISODES)
         self._started_s = self._last_s = time.monotonic()
         self._tracking_s = 0.0
@@ -153,13 +173,13 @@ class LearningCurve:
         returns, successes, collisions = torch.tensor(list(self._recent)).reshape(-1, 3).mean(0).tolist()
         now_s = time.monotonic()
         row = {
-            "decisions": (len(self.rows) + 1) * self._n_per_iteration,
+            "decisions": (len(self.rows) + 1) * self.n_per_iteration,
             "stage": stage,
             "success_rate": successes,
             "collision_rate": collisions,
             "return_mean": returns,
             **metrics,
-            "decisions_per_s": self._n_per_iteration / (now_s - self._last_s),
+            "decisions_per_s": self.n_per_iteration / (now_s - self._last_s),
             "wall_s": now_s - self._started_s,
         }
         self._last_s = now_s
@@ -221,3 +241,15 @@ def _save(config: "RunConfig", run: "TrackedRun", training: Training) -> None:
     run.log_artifact(run.folder / HISTORY_NAME)
     save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, row["decisions"])
     run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row))
+
+
+def _stop_at_last_good(config: "RunConfig", run: "TrackedRun", training: Training) -> NoReturn:
+    """Training on would only spoil what has been reached; the policy of before this iteration is kept."""
+    wrong, path = training.not_finite()[0], run.folder / CHECKPOINT_NAME
+    training.policy.load_state_dict(training.weights_before)
+    save_policy(path, training.policy, config, (training.n_done - 1) * training.curve.n_per_iteration)
+    raise UserError(
+        f"algorithm.learning_rate = {config.algorithm.learning_rate} or another value of algorithm or reward makes "
+        f"training diverge: {wrong} is not finite after iteration {training.n_done} of {training.n_total}; the "
+        f"policy before it is kept in {path}"
+    )

@@ -1,0 +1,54 @@
+"""Training that diverges says so at once and leaves the last good policy."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from tracked import RecordedRun
+
+from negopipe.errors import UserError
+from negopipe.gym_env import compose_config
+from negopipe.learning.acktr import Acktr
+from negopipe.learning.rollout import Rollout
+from negopipe.nested import take_from
+from negopipe.stages import train
+from negopipe.tracking.checkpoint import load_checkpoint
+
+CONFIG = ("+experiment=smoke", "device=cpu", "tracking.snapshot_period_s=1e-6")
+SPOILED = 4
+"""The iteration after whose update something is not finite."""
+
+
+@pytest.mark.parametrize(
+    ("what", "value"), [("value_head.0.weight", torch.nan), ("value_head.0.weight", torch.inf), ("kl", torch.nan)]
+)
+def test_it_stops_with_the_last_good_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, value: float
+) -> None:
+    good: list[dict[str, torch.Tensor]] = []
+    update = Acktr.update
+
+    def spoiled(learner: Acktr, rollout: Rollout, progress: float) -> dict[str, float]:
+        good.append({name: weight.clone() for name, weight in learner.policy.state_dict().items()})
+        metrics = update(learner, rollout, progress)
+        if len(good) < SPOILED:
+            return metrics
+        if what != "kl":
+            with torch.no_grad():
+                learner.policy.state_dict()[what][0] = value
+            return metrics
+        return {**metrics, what: value}
+
+    monkeypatch.setattr(Acktr, "update", spoiled)
+    with pytest.raises(
+        UserError, match=rf"^algorithm\.learning_rate = [^\n]+ {what} is not finite after iteration 4 of 6"
+    ):
+        train.run(compose_config(list(CONFIG)), RecordedRun(tmp_path))  # type: ignore[arg-type]
+    tensors, metadata = load_checkpoint(tmp_path / "checkpoint.safetensors")
+    assert metadata["decisions"] == (SPOILED - 1) * 4 * 8
+    assert tensors.keys() == good[-1].keys()
+    assert all(torch.equal(tensors[name], weight) for name, weight in good[-1].items())
+    for snapshot in (tmp_path / "snapshots").iterdir():
+        weights = take_from("policy", load_checkpoint(snapshot)[0])
+        assert weights.keys() == good[-1].keys()
+        assert all(weight.isfinite().all() for weight in weights.values())
