@@ -7,19 +7,21 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUTPUTS ?= outputs
+NAME ?= yield
 PORT ?= 5000
 ARGS ?=
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/requirements.lock
 
-.PHONY: help setup yield push smoke test test-slow lint ui
+.PHONY: help setup yield push smoke summary test test-slow test-sweeps lint lock ui
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 	@echo '  ARGS adds to the command: make yield ARGS="seed=2 device=cpu"'
 
 setup: $(READY)  ## make .venv and install negopipe into it
-$(READY): pyproject.toml
+$(READY): pyproject.toml .ci/requirements.lock
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,joblib]'
+	$(INSTALL) --editable '.[dev,joblib,submitit,optuna]'
 	@touch $@
 
 yield: $(READY)  ## train, evaluate and report on the yield task
@@ -31,16 +33,27 @@ push: $(READY)  ## the same on the push task
 smoke: $(READY)  ## the whole pipeline, tiny: does it run from end to end?
 	$(BIN)/python -m negopipe +experiment=smoke $(ARGS)
 
+summary: $(READY)  ## what came of the runs of NAME: a table, a figure, the best config
+	@$(BIN)/python -m negopipe.sweeping.summary $(OUTPUTS)/$(NAME) $(ARGS)
+
 test: $(READY)  ## the fast tests
 	$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
 
 test-slow: $(READY)  ## the tests that take longer
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
-lint: $(READY)  ## ruff, ruff format and mypy, as in CI
+test-sweeps: $(READY)  ## launchers and searches, really run; installs Ray (240 MB) beside the others
+	$(INSTALL) --editable '.[dev,joblib,submitit,ray,optuna]'
+	$(BIN)/python -m pytest -m slow tests/sweeping $(ARGS)
+
+lint: $(READY)  ## ruff, ruff format, mypy and the lock, as in CI
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python .ci/check_lock.py
+
+lock: $(READY)  ## resolve all dependencies anew: .ci/requirements.lock
+	$(BIN)/python .ci/check_lock.py --write
 
 ui: $(READY)  ## MLflow's dashboard of all runs under OUTPUTS
 	@$(BIN)/python -m negopipe.tracking.dashboard $(OUTPUTS) $(PORT)
