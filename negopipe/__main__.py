@@ -19,13 +19,15 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import env_override
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from negopipe import CONF
-from negopipe.config_errors import explain_composition
+from negopipe.config_errors import LONGEST_LINE, explain_composition, shown
 from negopipe.errors import UserError
+from negopipe.sweeping import optuna_sweeper
 
 log = logging.getLogger("negopipe")
 
@@ -47,47 +49,52 @@ GOES_ON = "what was finished is kept and the same command goes on from there"
 def main() -> int:
     """Run the command line; 0, 1 (failed, said in one line), 130 (Ctrl-C) or, by SystemExit, 143."""
     signal.signal(signal.SIGTERM, _terminate)
+    optuna_sweeper.register()
     if os.environ.get("HYDRA_FULL_ERROR") == "1":  # the user wants every error with its traceback
         pipeline()
         return 0
     with tempfile.NamedTemporaryFile("r", prefix="negopipe-", encoding="utf-8") as failures:
+        lines = []
         try:
             # with full errors, they reach this function instead of being printed by Hydra
             with env_override({"HYDRA_FULL_ERROR": "1", FAILURES: failures.name}):
                 pipeline()
-            lines = [json.loads(line) for line in failures]
         except (HydraException, OmegaConfBaseException, YAMLError) as error:
             lines = [explain_composition(error)]
         except ValueError as error:  # Hydra's checks of the command line itself; they name no key
-            lines = [f"{error}, got {' '.join(sys.argv[1:])}"]
+            lines = [shown(f"{error}, got {' '.join(sys.argv[1:])}", LONGEST_LINE)]
         except UserError as error:
             lines = [str(error)]
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             return 130
+        lines = [json.loads(line) for line in failures] + lines  # those of a sweep's jobs first
     for line in dict.fromkeys(lines):
         print(line, file=sys.stderr)
     return 1 if lines else 0
 
 
 @hydra.main(config_path=str(CONF), config_name="config", version_base="1.3")
-def pipeline(composed: DictConfig) -> None:
-    """One job of the command line, in this process or in a launcher's worker."""
+def pipeline(composed: DictConfig) -> float | None:
+    """One job of the command line, in this process or in a launcher's worker; its objective, for sweepers."""
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        run_stages(composed)
+        return run_stages(composed)
     except Exception as error:
         _note_failure(error)
+        return None
 
 
-def run_stages(composed: DictConfig) -> None:
-    """Check the config, open its run and run its stages in order."""
+def run_stages(composed: DictConfig) -> float | None:
+    """Check the config, open its run and run its stages in order; returns the objective, None if there is none."""
     from negopipe.config import as_mapping, load, run_name
     from negopipe.identity import source_hash, stage_key
     from negopipe.stages import backend
     from negopipe.stages.reuse import take_over_training
+    from negopipe.sweeping.objective import objective
     from negopipe.tracking.checkpoint import find_checkpoint
-    from negopipe.tracking.store import open_run
+    from negopipe.tracking.metrics_file import read
+    from negopipe.tracking.store import METRICS_NAME, open_run
 
     config = load(composed)
     # all code is loaded now, so that what is edited during a long run does not end up in it
@@ -98,7 +105,7 @@ def run_stages(composed: DictConfig) -> None:
         config,
         run_name(config),
         as_mapping(config),
-        tags={"overrides": " ".join(HydraConfig.get().overrides.task)},
+        tags=_tags(config.name),
         source=source_hash(),
         takes_any_code=config.reuse == "any_code",
         is_fresh=config.rerun,
@@ -121,12 +128,21 @@ def run_stages(composed: DictConfig) -> None:
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _shown(run.folder / file_name))
     log.info("dashboard  make ui")
+    return objective(read(run.folder / METRICS_NAME), config.objective)
+
+
+def _tags(name: str) -> dict[str, str]:
+    """What the command line was, and of which sweep it is a job: runs stay flat, and a tag groups them."""
+    hydra = HydraConfig.get()
+    tags = {"overrides": " ".join(hydra.overrides.task)}
+    if hydra.mode == RunMode.MULTIRUN:
+        tags["sweep"] = hydra.sweeper.get("study_name", name)
+    return tags
 
 
 def _note_failure(error: Exception) -> None:
     """Leave a line for `main`; a bug shows its traceback here, where it still has one."""
-    path = Path(os.environ.get(FAILURES, ""))
-    if not path.is_file():  # HYDRA_FULL_ERROR, or a worker on another machine: leave it to Hydra
+    if FAILURES not in os.environ and os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
     line = str(error)
     if isinstance(error, OSError) and error.errno in DISK_FAULTS:
@@ -135,6 +151,9 @@ def _note_failure(error: Exception) -> None:
     elif not isinstance(error, UserError):
         traceback.print_exception(error)
         line = f"failed with {type(error).__name__}: {' '.join(HydraConfig.get().overrides.task)}"
+    path = Path(os.environ.get(FAILURES, ""))
+    if not path.is_file():  # in a worker on another machine: the launcher brings it here
+        raise UserError(line) from error
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(line) + "\n")
 

@@ -2,14 +2,17 @@
 
 import hashlib
 import json
-from collections.abc import Iterable
-from typing import Annotated, Any, Literal, get_args
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
-from negopipe.config_errors import explain_composition, explain_validation
+from negopipe.config_errors import explain_composition, explain_validation, shown
+from negopipe.env import CHUNKS
 from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
@@ -23,16 +26,46 @@ from negopipe.planner.frenet import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
 from negopipe.reward import RewardConfig
-from negopipe.schema import NonNegativeInt, PositiveInt, schema
+from negopipe.schema import FileName, PositiveInt, Seed, schema
 from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.tracking.store import TrackingConfig
 
 Stage = Literal["train", "evaluate", "report", "behaviour_map", "oracle", "benchmark"]
-FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
-RESULT_NEUTRAL = {"name", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "tracking"}
+
+def _is_path(text: str) -> str:
+    """No file system takes longer names, and `~nobody` is nobody's home."""
+    if not text.isprintable() or len(text) > 1000 or max(len(part.encode()) for part in text.split("/")) > 255:
+        raise ValueError("must be a path of printable characters, at most 1000 in all and 255 bytes between two /")
+    try:
+        Path(text).expanduser()
+    except RuntimeError as error:
+        raise ValueError("must begin with the name of a user where it begins with ~") from error
+    return text
+
+
+PathText = Annotated[str, Field(min_length=1), AfterValidator(_is_path)]
+
+N_STEPS = 1000
+"""Of a plan, a delay or between two frames, at most: all are held in memory and some are gone through one by one."""
+
+LONGEST_EPISODE_S = 3600.0
+"""Animations show episodes in real time, frame by frame."""
+
+MOST_BYTES = 2**34
+"""At once, for one purpose, roughly: 16 GiB, hundreds of times what the defaults need. It does not ask what this
+machine has, so that a config is valid on every machine or on none."""
+
+FLOAT_BYTES = 4
+N_TEMPORARIES = 16
+"""Tensors of a size that are alive together while one is computed."""
+
+RECORD_BYTES = 100
+"""Of one vehicle's step in a `Trace`, while it is put together."""
+
+RESULT_NEUTRAL = {"name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "tracking"}
 """Keys that `run_name` leaves out of its hash: where a run is kept, which part of it runs now, how its
 results are shown. `n_threads` is among them because threads change rounding at most; `device` and `compile`
 are not: they draw and round differently. The seed stands beside the hash, so a config's seeds share it."""
@@ -42,11 +75,12 @@ are not: they draw and round differently. The seed stands beside the hash, so a 
 class RunConfig:
     """Everything a run depends on; `conf/config.yaml` says what each value means."""
 
-    name: FolderName
-    seed: NonNegativeInt
-    outputs: Annotated[str, Field(min_length=1)]
+    name: FileName
+    seed: Seed
+    outputs: PathText
     stages: Annotated[tuple[Stage, ...], Field(min_length=1)]
-    checkpoint: str | None
+    objective: Annotated[tuple[str, ...], Field(min_length=1)]
+    checkpoint: PathText | None
     rerun: bool
     reuse: Literal["same_code", "any_code"]
     device: Literal["auto", "cpu", "cuda"]
@@ -109,6 +143,7 @@ def check_components(config: RunConfig) -> None:
     _check_horizons(config)
     _check_times(config)
     _check_grids(config)
+    _check_sizes(config)
     _check_evaluation(config)
     _check_oracle(config)
 
@@ -136,7 +171,14 @@ def _check_horizons(config: RunConfig) -> None:
 
 def _check_times(config: RunConfig) -> None:
     """What is remembered or passed on at control steps happens at control steps."""
-    dt = config.scenario.dt_s
+    dt, planned = config.scenario.dt_s, config.planner.horizon_s
+    if not dt <= planned <= N_STEPS * dt:
+        allowed = f"between scenario.dt_s = {dt} and {N_STEPS} times as much"
+        raise UserError(f"planner.horizon_s must be {allowed}, got {planned}")
+    n_steps = config.scenario.episode_steps
+    if n_steps * dt > LONGEST_EPISODE_S:
+        allowed = f"{LONGEST_EPISODE_S:g} s / scenario.dt_s = {LONGEST_EPISODE_S / dt:g}"
+        raise UserError(f"scenario.episode_steps must be at most {allowed}, got {n_steps}")
     times = {
         "observation.frame_interval_s": config.observation.frame_interval_s,
         "perception.accel_window_s": config.perception.accel_window_s,
@@ -146,35 +188,145 @@ def _check_times(config: RunConfig) -> None:
         times["dynamics.actuation_delay_s"] = config.dynamics.actuation_delay_s
     for key, time in times.items():
         n_steps = round(time / dt)
+        if n_steps > N_STEPS:
+            raise UserError(f"{key} must be at most {N_STEPS} times scenario.dt_s = {dt}, got {time}")
         if abs(time - n_steps * dt) > 1e-6 or (n_steps == 0 and time > 0):
             raise UserError(f"{key} must be a multiple of scenario.dt_s = {dt}, got {time}")
 
 
 def _check_grids(config: RunConfig) -> None:
     """The convolutions leave something of the grid."""
-    side = config.observation.n_cells
-    for index, conv in enumerate(config.policy.conv):
+    sides = _sides(config)
+    for index, (side, conv) in enumerate(zip(sides, config.policy.conv, strict=False)):
         if conv.kernel > side:
-            limit = f"{side}, what is left there of observation.n_cells = {config.observation.n_cells}"
-            raise UserError(f"policy.conv.{index}.kernel must be at most {limit}, got {conv.kernel}")
-        side = (side - conv.kernel) // conv.stride + 1
+            limit = f"{side}, what is left there of observation.n_cells = {sides[0]}"
+            before = f" after stride {config.policy.conv[index - 1].stride}" if index else ""
+            raise UserError(f"policy.conv.{index}.kernel must be at most {limit}, got {conv.kernel}{before}")
+
+
+def _sides(config: RunConfig) -> list[int]:
+    """Cells along a side of the grid and of what each convolution makes of it."""
+    sides = [config.observation.n_cells]
+    for conv in config.policy.conv:
+        sides.append((sides[-1] - conv.kernel) // conv.stride + 1)
+    return sides
+
+
+class _Need(NamedTuple):
+    """Roughly how many bytes something takes at once, and the keys that make it so."""
+
+    what: str
+    n_bytes: float
+    keys: str
+
+
+def _check_sizes(config: RunConfig) -> None:
+    """What values make together fits in memory: a process that asks for too much is killed without a word."""
+    for need in (*_game_needs(config), *_network_needs(config), *_stage_needs(config)):
+        if need.n_bytes > MOST_BYTES:
+            by = ", ".join(f"{key} = {_size_at(config, key)}" for key in need.keys.split())
+            allowed, asked = MOST_BYTES / 2**30, need.n_bytes / 2**30
+            raise UserError(f"{need.what} must take at most {allowed:g} GiB, got about {asked:.2g} GiB by {by}")
+
+
+def _size_at(config: RunConfig, key: str) -> str:
+    """The value at a dotted key; of a list, how many items it has."""
+    value: Any = config
+    for part in key.split("."):
+        value = value[int(part)] if part.isdigit() else getattr(value, part)
+    return f"{len(value)} items" if isinstance(value, list | tuple) else str(value)
+
+
+def _game_needs(config: RunConfig) -> Iterator[_Need]:
+    """What is computed for a chunk of worlds at once, and what every world remembers."""
+    scenario, planner, seen = config.scenario, config.planner, config.observation
+    along, aside, clearance = planner.longitudinal, planner.lateral, planner.clearance
+    n_vehicles, n_times = 1 + scenario.n_social, planner.horizon_s / scenario.dt_s
+    n_stops = len(along.stop_distances_m) + len(along.stop_positions_m)
+    n_along = len(along.keep_fractions) * len(along.keep_durations_s) + n_stops * len(along.stop_durations_s)
+    n_aside = len(aside.offsets_m) * len(aside.lengths_m)
+    size, paths = scenario.vehicle, CHUNKS["cpu"] * n_vehicles * n_aside * FLOAT_BYTES * N_TEMPORARIES
+    beside = clearance.beside_m + clearance.beside_s * planner.limits.speed_max_mps
+    around = 2 * (size.length_m + size.width_m + clearance.ahead_m + beside) / clearance.conflict_station_m
+    ahead = planner.limits.speed_max_mps * planner.horizon_s / clearance.station_m
+    n_past = seen.n_frames * seen.frame_interval_s + config.perception.delay_s + config.perception.accel_window_s
+    memory = n_past / scenario.dt_s * n_vehicles**2 * 4 * FLOAT_BYTES
+    words = seen.n_frames * (seen.n_cells**2 / 28 + seen.n_cells) * (2 * scenario.road.n_parked_per_side + n_vehicles)
+    lists = "planner.longitudinal.keep_fractions planner.lateral.offsets_m scenario.n_social scenario.dt_s"
+    yield _Need("the planner's candidates", paths * scenario.n_social * n_times * n_along, lists)
+    close = (
+        "planner.clearance.conflict_station_m planner.clearance.beside_s planner.limits.speed_max_mps scenario.n_social"
+    )
+    yield _Need("the planner's checks", paths * scenario.n_social * n_times * around, close)
+    far = "planner.clearance.station_m planner.limits.speed_max_mps planner.horizon_s scenario.n_social"
+    yield _Need("the planner's paths", paths * ahead, far)
+    past = "algorithm.n_worlds scenario.n_social scenario.dt_s observation.n_frames observation.frame_interval_s"
+    past += " perception.delay_s perception.accel_window_s"
+    yield _Need("the worlds' past", config.algorithm.n_worlds * memory * N_TEMPORARIES, past)
+    grids = "observation.n_cells observation.n_frames scenario.n_social scenario.road.n_parked_per_side"
+    yield _Need("a chunk's grids", CHUNKS["cpu"] * words * FLOAT_BYTES * N_TEMPORARIES, grids)
+
+
+def _network_needs(config: RunConfig) -> Iterator[_Need]:
+    """Weights, each kept several times over; what a minibatch makes of them; their factors."""
+    policy, learner, sides = config.policy, config.algorithm, _sides(config)
+    channels = [config.observation.n_frames, *(conv.channels for conv in policy.conv)]
+    heads = [policy.encoder_width, *policy.head_widths, len(policy.horizons_s)]
+    fans = [(c * conv.kernel**2, conv.channels) for c, conv in zip(channels, policy.conv, strict=False)]
+    fans += [(channels[-1] * sides[-1] ** 2, policy.encoder_width), *2 * list(pairwise(heads))]
+    n_weights = sum(n_in * n_out for n_in, n_out in fans)
+    n_factors = sum(n_in * min(n_in, learner.kfac.max_factor_size) + n_out**2 for n_in, n_out in fans)
+    cells = [c * side**2 for c, side in zip(channels, sides, strict=True)]
+    n_samples = min(learner.minibatch_size, learner.n_worlds * learner.n_steps)
+    n_patches = max((fan[0] * side**2 for fan, side in zip(fans, sides[1:], strict=False)), default=0)
+    patches = min(learner.kfac.n_statistics, n_samples) * n_patches
+    widths = "policy.encoder_width policy.head_widths policy.conv observation.n_cells observation.n_frames"
+    layers = "".join(f" policy.conv.{index}.channels" for index in range(len(policy.conv)))
+    yield _Need("the network", n_weights * FLOAT_BYTES * N_TEMPORARIES, widths + layers)
+    factors = "algorithm.kfac.max_factor_size policy.encoder_width policy.head_widths observation.n_cells"
+    yield _Need("the network's factors", n_factors * FLOAT_BYTES * N_TEMPORARIES, factors + layers)
+    batch = "algorithm.minibatch_size algorithm.n_worlds algorithm.n_steps observation.n_cells observation.n_frames"
+    yield _Need("a minibatch", (n_samples * sum(cells) + patches) * FLOAT_BYTES * 4, batch + layers)
+
+
+def _stage_needs(config: RunConfig) -> Iterator[_Need]:
+    """What the stages that run keep of what they drive; the evaluation's tasks are drawn by most."""
+    scenario, learner, seen = config.scenario, config.algorithm, config.observation
+    grids = learner.n_worlds * learner.n_steps * seen.n_frames * seen.n_cells**2
+    rollout = "algorithm.n_worlds algorithm.n_steps observation.n_frames observation.n_cells"
+    yield _Need("a rollout", grids * 2, rollout)
+    if "benchmark" in config.stages:
+        measured = max(config.benchmark.n_worlds) * seen.n_frames * seen.n_cells**2
+        yield _Need("the benchmark", measured * 4, "benchmark.n_worlds observation.n_frames observation.n_cells")
+    record = scenario.episode_steps * (1 + scenario.n_social) * RECORD_BYTES
+    one = "scenario.episode_steps scenario.n_social"
+    n_planners = 1 + len(config.evaluation.fixed_horizons_s)
+    driven = config.evaluation.n_episodes * n_planners * len(config.evaluation.settings) * record
+    tasks = "evaluation.n_episodes evaluation.settings evaluation.fixed_horizons_s"
+    yield _Need("the evaluation", driven, f"{tasks} {one}")
+    if "behaviour_map" in config.stages:
+        yield _Need("the map", config.behaviour_map.n_episodes * record, f"behaviour_map.n_episodes {one}")
+    if "oracle" in config.stages:
+        n_sequences = max(config.oracle.population, len(config.policy.horizons_s) ** 3)
+        search = config.oracle.n_episodes * n_sequences * record
+        yield _Need("the search", search, f"oracle.n_episodes oracle.population policy.horizons_s {one}")
 
 
 def _check_evaluation(config: RunConfig) -> None:
     """What is evaluated, opened with and shown exists."""
     settings = config.evaluation.settings
     planners = [fixed_name(horizon) for horizon in config.evaluation.fixed_horizons_s]
-    _require("evaluation.settings", settings, among=config.scenario.families)
-    _require("evaluation.leading_setting", [config.evaluation.leading_setting], among=settings)
+    _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
+    _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
     if "report" in config.stages:
-        _require("report.side_by_side", config.report.side_by_side, among=planners)
+        _require("report.side_by_side", config.report.side_by_side, planners, "evaluation.fixed_horizons_s")
 
 
 def _check_oracle(config: RunConfig) -> None:
     """The oracle's tasks are among the evaluated ones, and it may give up on what takes too long."""
     if "oracle" not in config.stages:
         return
-    _require("oracle.settings", config.oracle.settings, among=config.scenario.families)
+    _require("oracle.settings", config.oracle.settings, config.scenario.families, "scenario.families")
     limit, paid = config.evaluation.n_episodes, config.evaluation.reward
     if config.oracle.n_episodes > limit:
         raise UserError(
@@ -187,8 +339,10 @@ def _check_oracle(config: RunConfig) -> None:
         )
 
 
-def _require(key: str, values: Iterable[str], among: Iterable[str]) -> None:
+def _require(key: str, values: Iterable[str], among: Iterable[str], source: str) -> None:
+    """All `values` are among those that the key `source` names."""
     allowed = list(among)
     for value in values:
         if value not in allowed:
-            raise UserError(f"{key} must be among {', '.join(allowed) or 'none'}, got {value}")
+            names = shown(", ".join(allowed)) or "none"
+            raise UserError(f"{key} must be among {names}, got {shown(value)}; {source} has no other")

@@ -17,9 +17,21 @@ from omegaconf.errors import (
     ConfigAttributeError,
     ConfigKeyError,
     InterpolationResolutionError,
+    MissingMandatoryValue,
     OmegaConfBaseException,
 )
 from pydantic import ValidationError
+
+LONGEST_LINE = 400
+LONGEST_VALUE = 100
+"""Characters. What is longer is cut: a line that fills the terminal tells less."""
+
+
+def shown(value: Any, longest: int = LONGEST_VALUE) -> str:
+    """A value as a line shows it: control characters escaped, cut where it is long."""
+    text = value if isinstance(value, str) and value else json.dumps(value)
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
 def unknown_key(key: str, allowed: Iterable[str]) -> str:
@@ -32,6 +44,10 @@ def unknown_key(key: str, allowed: Iterable[str]) -> str:
 
 def explain_composition(error: Exception) -> str:
     """What Hydra or OmegaConf found wrong while composing the config or resolving its interpolations."""
+    return shown(_explanation(error), LONGEST_LINE)
+
+
+def _explanation(error: Exception) -> str:
     if isinstance(error, MissingConfigException) and error.options is not None:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         return f"{group} must be one of {', '.join(sorted(error.options))}, got {option}"
@@ -41,17 +57,19 @@ def explain_composition(error: Exception) -> str:
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and OmegaConf.is_dict(cause.parent_node):
         return unknown_key(str(cause.full_key), map(str, cause.parent_node))
     if isinstance(error, OverrideParseException):
-        return f"{error.override} cannot be read: {str(error).splitlines()[0]}"
+        return f"{shown(error.override)} cannot be read: {str(error).splitlines()[0]}"
+    if isinstance(error, MissingMandatoryValue):
+        return f"{error.full_key} is missing"
     return " ".join(str(error).replace("\\'", "'").split())
 
 
 def explain_validation(error: ValidationError, root: type) -> str:
     """All problems that pydantic found when it was to make `root` of plain mappings."""
-    return "; ".join(dict.fromkeys(_problem(problem, root) for problem in error.errors()))
+    return shown("; ".join(dict.fromkeys(_problem(problem, root) for problem in error.errors())), LONGEST_LINE)
 
 
 def _problem(problem: Mapping[str, Any], root: type) -> str:
-    path, kind = [str(part) for part in problem["loc"]], problem["type"]
+    path, kind = [str(part) for part in problem["loc"] if part != "[key]"], problem["type"]
     key = ".".join(_keys(root, path))
     if kind == "unexpected_keyword_argument":
         return unknown_key(key, [field.name for schema in _schemas(_node(root, path[:-1])) for field in fields(schema)])
@@ -60,7 +78,7 @@ def _problem(problem: Mapping[str, Any], root: type) -> str:
     if kind in ("missing", "missing_argument"):
         return f"{key} is missing"
     is_whole_mapping = isinstance(problem["input"], Mapping) and not kind.endswith("_type")
-    value = "" if is_whole_mapping else f", got {_shown(problem['input'])}"  # the rule names the values
+    value = "" if is_whole_mapping else f", got {shown(problem['input'])}"  # the rule names the values
     return f"{key} {_rule(problem)}{value}"
 
 
@@ -70,7 +88,7 @@ def _wrong_variant(key: str, context: Mapping[str, str]) -> str:
     field = f"{key}.{names['discriminator']}"
     if "tag" not in names:
         return f"{field} is missing"
-    return f"{field} must be one of {names['expected_tags']}, got {names['tag']}"
+    return f"{field} must be one of {names['expected_tags']}, got {shown(names['tag'])}"
 
 
 def _rule(problem: Mapping[str, Any]) -> str:
@@ -84,10 +102,6 @@ def _rule(problem: Mapping[str, Any]) -> str:
     message = message.partition(" after validation")[0]
     rule = message.partition(" should ")[2]
     return f"must {rule}" if rule else message
-
-
-def _shown(value: Any) -> str:
-    return value if isinstance(value, str) and value else json.dumps(value)
 
 
 def _keys(root: type, path: list[str]) -> list[str]:

@@ -18,7 +18,7 @@ DEPENDS_ON = {
     "report": (*_TRAINING, "evaluation", "report"),
     "behaviour_map": (*_GAME, "evaluation", "behaviour_map", "report"),
     "oracle": (*_GAME, "evaluation", "oracle"),
-    "benchmark": (*_GAME, "n_threads", "evaluation", "algorithm", "benchmark"),
+    "benchmark": (*_TRAINING, "n_threads", "evaluation", "benchmark", "tracking"),
 }
 """Groups of the config that a stage's result depends on, those of the stages that it builds on included."""
 
@@ -29,6 +29,8 @@ NOT_TRAINED_ON = ("families",)
 """Of the scenario: training draws from the curriculum's families."""
 ONLY_SHOWN = ("leading_setting",)
 """Of the evaluation: what comes first in the report."""
+ONLY_NAMES = ("experiment", "registered_model")
+"""Of tracking, whose cost the benchmark measures."""
 
 
 def stage_key(config: RunConfig, stage: str) -> str:
@@ -39,6 +41,8 @@ def stage_key(config: RunConfig, stage: str) -> str:
         relevant["scenario"] = _without(relevant["scenario"], NOT_TRAINED_ON)
     if stage != "report" and "evaluation" in relevant:
         relevant["evaluation"] = _without(relevant["evaluation"], ONLY_SHOWN)
+    if "tracking" in relevant:
+        relevant["tracking"] = _without(relevant["tracking"], ONLY_NAMES)
     if stage in STARTS_FROM_CHECKPOINT and config.checkpoint is not None:
         start = _digest(find_checkpoint(config.checkpoint, config).read_bytes())
         relevant["checkpoint"] = [start, "train" in config.stages]

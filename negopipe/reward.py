@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from negopipe.schema import schema
+from negopipe.schema import Real, schema
 
 
 @schema
@@ -15,9 +15,9 @@ class RewardConfig:
     success: once, when all vehicles have reached their targets
     """
 
-    step: float
-    collision: float
-    success: float
+    step: Real
+    collision: Real
+    success: Real
 
 
 def reward(config: RewardConfig, is_collision: Tensor, is_success: Tensor) -> Tensor:

@@ -11,6 +11,18 @@ from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from typing_extensions import dataclass_transform
 
+LARGEST = 1e6
+"""Of any number. Roads, speeds and weights are far below it, and float32, which ends at 3e38, holds its powers."""
+
+SMALLEST = 1e-6
+"""Of a number that is divided by, with the same in mind: float32 begins at 1e-38."""
+
+FAR_M = 1000.0
+"""Of any length on the road: the longest view."""
+
+N_MOST = 10**6
+"""Of any count. What some of them make together has a bound of its own, in `negopipe.config`."""
+
 
 @dataclass_transform(frozen_default=True)
 def schema(cls: type) -> type:
@@ -24,9 +36,27 @@ def _is_ordered(interval: tuple[float, float]) -> tuple[float, float]:
     return interval
 
 
-PositiveFloat = Annotated[float, Field(gt=0)]
-NonNegativeFloat = Annotated[float, Field(ge=0)]
+def _is_not_tiny(value: float) -> float:
+    if value < SMALLEST:
+        raise ValueError(f"must be at least {SMALLEST:g}")
+    return value
+
+
+def _is_printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must be of printable characters")
+    return text
+
+
+Real = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+PositiveFloat = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_is_not_tiny)]
+NonNegativeFloat = Annotated[float, Field(ge=0, le=LARGEST)]
+PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M), AfterValidator(_is_not_tiny)]
+NonNegativeMetres = Annotated[float, Field(ge=0, le=FAR_M)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-PositiveInt = Annotated[int, Field(ge=1)]
-NonNegativeInt = Annotated[int, Field(ge=0)]
+PositiveInt = Annotated[int, Field(ge=1, le=N_MOST)]
+NonNegativeInt = Annotated[int, Field(ge=0, le=N_MOST)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+Label = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_is_printable)]
+FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
 Interval = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_is_ordered)]

@@ -28,7 +28,7 @@ FLOORS = (
     ("driver", "env"),
     ("evaluation", "report", "tracking"),
     ("config", "identity"),
-    ("stages", "gym_env"),
+    ("stages", "gym_env", "sweeping"),
     ("__main__",),
 )
 """Lowest first; a name stands for a module or for a package and all in it. A floor may import itself."""

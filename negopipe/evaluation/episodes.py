@@ -11,7 +11,7 @@ from negopipe.driver import ChooseHorizon, Driver, HorizonDriver, drive_together
 from negopipe.env import Game
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
-from negopipe.schema import NonNegativeFloat, NonNegativeInt, PositiveInt, schema
+from negopipe.schema import NonNegativeFloat, PositiveInt, Seed, schema
 from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, where_world
 
@@ -26,7 +26,7 @@ class EvaluationConfig:
     settings: Annotated[list[str], Field(min_length=1)]
     leading_setting: str
     n_episodes: PositiveInt
-    task_seed: NonNegativeInt
+    task_seed: Seed
     fixed_horizons_s: list[NonNegativeFloat]
     action: Literal["most_probable", "sample"]
     reward: RewardConfig

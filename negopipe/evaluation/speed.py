@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field, model_validator
 
-from negopipe.schema import PositiveFloat, PositiveInt, schema
+from negopipe.schema import PositiveInt, schema
 
 Backend = Literal["eager", "compiled", "cuda_eager", "cuda"]
 
@@ -28,10 +28,11 @@ class BenchmarkConfig:
     backends: Annotated[tuple[Backend, ...], Field(min_length=1)]
     n_worlds: Annotated[tuple[PositiveInt, ...], Field(min_length=1)]
     base_n_worlds: PositiveInt
-    n_warmups: PositiveInt
-    n_repetitions: PositiveInt
-    min_time_s: PositiveFloat
+    n_warmups: Annotated[PositiveInt, Field(le=1000)]
+    n_repetitions: Annotated[PositiveInt, Field(le=1000)]
+    min_time_s: Annotated[float, Field(gt=0, le=3600)]
     n_latencies: PositiveInt
+    n_iterations: PositiveInt
 
     @model_validator(mode="after")
     def _has_base(self) -> "BenchmarkConfig":

@@ -27,6 +27,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import torch
+from pydantic import model_validator
 from torch import Generator, Tensor
 
 from negopipe.learning.advantage import k_step_advantage
@@ -72,6 +73,12 @@ class AcktrConfig:
     entropy_coefficient: NonNegativeFloat
     return_decay: Fraction
     kfac: KfacConfig
+
+    @model_validator(mode="after")
+    def _has_a_spread(self) -> "AcktrConfig":
+        if self.n_worlds * self.n_steps < 2:
+            raise ValueError("n_worlds 1 times n_steps 1 must be at least 2: one advantage has no spread")
+        return self
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from negopipe.schema import PositiveInt, schema
+from negopipe.schema import Label, PositiveInt, schema
 from negopipe.simulation.scenario import Families
 
 
@@ -17,7 +17,7 @@ class CurriculumStageConfig:
     families: D_i, the start-distance distribution per style and the weight of each style's tasks
     """
 
-    name: str
+    name: Label
     n_iterations: PositiveInt
     families: Annotated[Families, Field(min_length=1)]
 

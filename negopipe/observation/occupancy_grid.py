@@ -7,11 +7,13 @@ vehicle since two footprints never share a place without a collision.
 """
 
 from functools import reduce
+from typing import Annotated
 
 import torch
+from pydantic import Field
 from torch import Tensor
 
-from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
+from negopipe.schema import NonNegativeMetres, PositiveFloat, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import Boxes
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road
@@ -30,10 +32,10 @@ class ObservationConfig:
     """`conf/observation/occupancy_grid.yaml` says what each value means."""
 
     n_cells: PositiveInt
-    cell_along_m: PositiveFloat
-    cell_across_m: PositiveFloat
-    behind_m: NonNegativeFloat
-    n_frames: PositiveInt
+    cell_along_m: PositiveMetres
+    cell_across_m: PositiveMetres
+    behind_m: NonNegativeMetres
+    n_frames: Annotated[PositiveInt, Field(le=100)]
     frame_interval_s: PositiveFloat
 
 

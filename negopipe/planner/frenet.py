@@ -16,7 +16,7 @@ from negopipe.planner.lateral import LateralCandidates, LateralConfig
 from negopipe.planner.longitudinal import LongitudinalCandidates, LongitudinalConfig, LongitudinalSamples
 from negopipe.planner.prediction import PredictedPath, PredictionConfig, predict
 from negopipe.planner.roadside import Roadside
-from negopipe.schema import NonNegativeFloat, PositiveFloat, schema
+from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road, RouteState
@@ -49,14 +49,14 @@ class ClearanceConfig:
         than it needs to creep past a standing one, so that a waiting place is one that can be passed
     """
 
-    parked_m: NonNegativeFloat
-    parked_near_m: NonNegativeFloat
-    parked_full_at_m: PositiveFloat
-    ahead_m: NonNegativeFloat
-    beside_m: NonNegativeFloat
+    parked_m: NonNegativeMetres
+    parked_near_m: NonNegativeMetres
+    parked_full_at_m: PositiveMetres
+    ahead_m: NonNegativeMetres
+    beside_m: NonNegativeMetres
     beside_s: NonNegativeFloat
-    station_m: PositiveFloat
-    conflict_station_m: PositiveFloat
+    station_m: PositiveMetres
+    conflict_station_m: PositiveMetres
 
     @model_validator(mode="after")
     def _grows(self) -> "ClearanceConfig":

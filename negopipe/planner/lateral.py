@@ -7,7 +7,7 @@ from pydantic import Field
 from torch import Tensor
 
 from negopipe.planner.polynomial import evaluate, quintic
-from negopipe.schema import PositiveFloat, schema
+from negopipe.schema import PositiveMetres, Real, schema
 from negopipe.simulation.road import Road, RouteState
 
 
@@ -19,8 +19,8 @@ class LateralConfig:
     lengths_m: distances along the road over which the offset is reached
     """
 
-    offsets_m: Annotated[list[float], Field(min_length=1)]
-    lengths_m: Annotated[list[PositiveFloat], Field(min_length=1)]
+    offsets_m: Annotated[list[Real], Field(min_length=1)]
+    lengths_m: Annotated[list[PositiveMetres], Field(min_length=1)]
 
 
 class PathPoint(NamedTuple):

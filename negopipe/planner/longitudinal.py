@@ -7,7 +7,7 @@ from pydantic import Field
 from torch import Tensor
 
 from negopipe.planner.polynomial import derivative_row, quartic, quintic, sampling_rows
-from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, schema
+from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, Real, schema
 from negopipe.simulation.road import RouteState
 
 
@@ -27,7 +27,7 @@ class LongitudinalConfig:
     keep_fractions: Annotated[list[Fraction], Field(min_length=1)]
     keep_durations_s: Annotated[list[PositiveFloat], Field(min_length=1)]
     stop_distances_m: list[NonNegativeFloat]
-    stop_positions_m: list[float]
+    stop_positions_m: list[Real]
     stop_durations_s: Annotated[list[PositiveFloat], Field(min_length=1)]
     settle_rate_hz: PositiveFloat
 

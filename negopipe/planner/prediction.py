@@ -6,7 +6,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.schema import PositiveFloat, schema
+from negopipe.schema import PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.state import VehicleState
 from negopipe.stored import stored
@@ -20,7 +20,7 @@ class ConstantVelocityConfig:
     """
 
     model: Literal["constant_velocity"]
-    offset_decay_m: PositiveFloat
+    offset_decay_m: PositiveMetres
 
     def travelled(self, now: RouteState, times: Tensor) -> Tensor:
         """Metres along the road [..., T, N] after `times` [T] (s); `now` fields [..., N]."""
@@ -37,7 +37,7 @@ class ConstantAccelerationConfig:
     """
 
     model: Literal["constant_acceleration"]
-    offset_decay_m: PositiveFloat
+    offset_decay_m: PositiveMetres
     hold_s: PositiveFloat
     speed_max_mps: PositiveFloat
 

@@ -23,7 +23,7 @@ class ConvConfig:
 
     channels: PositiveInt
     kernel: PositiveInt
-    stride: PositiveInt
+    stride: Annotated[PositiveInt, Field(le=100)]  # with a million torch does not come back
 
 
 @schema

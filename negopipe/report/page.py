@@ -5,9 +5,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import jinja2
+from pydantic import Field
 
 from negopipe.evaluation.trace import ADAPTIVE
 from negopipe.report.figures import planner_label
@@ -23,7 +24,7 @@ class ReportConfig:
 
     figure_formats: tuple[Literal["png", "svg", "pdf"], ...]
     n_animations: NonNegativeInt
-    animation_fps: PositiveInt
+    animation_fps: Annotated[PositiveInt, Field(le=50)]  # a GIF's frames last hundredths of a second, two at least
     side_by_side: tuple[str, ...]
 
 

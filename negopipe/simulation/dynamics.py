@@ -8,7 +8,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
+from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.state import VehicleState, map_tensors
 
@@ -27,17 +27,17 @@ class BicycleConfig:
     """A car that follows the plan; `conf/dynamics/bicycle.yaml` says what each value means."""
 
     model: Literal["bicycle"]
-    wheelbase_m: PositiveFloat
+    wheelbase_m: PositiveMetres
     steer_max_deg: SteerDegrees
     steer_rate_max_degps: PositiveFloat
     accel_time_constant_s: PositiveFloat
     steer_time_constant_s: PositiveFloat
     actuation_delay_s: NonNegativeFloat
-    n_substeps: PositiveInt
+    n_substeps: Annotated[PositiveInt, Field(le=1000)]
     position_gain_1ps2: NonNegativeFloat
-    heading_distance_m: PositiveFloat
+    heading_distance_m: PositiveMetres
     lateral_gain_1pm2: NonNegativeFloat
-    replan_distance_m: PositiveFloat
+    replan_distance_m: PositiveMetres
 
 
 DynamicsConfig = Annotated[PerfectConfig | BicycleConfig, Field(discriminator="model")]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, schema
+from negopipe.schema import Fraction, NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.state import VehicleState, World, map_tensors
 
@@ -20,11 +20,11 @@ from negopipe.simulation.state import VehicleState, World, map_tensors
 class PerceptionConfig:
     """What vehicles see of each other; `conf/perception/noisy.yaml` says what each value means."""
 
-    position_std_m: NonNegativeFloat
+    position_std_m: NonNegativeMetres
     yaw_std_rad: NonNegativeFloat
     speed_std_mps: NonNegativeFloat
     dropout_probability: Fraction
-    range_m: PositiveFloat | None
+    range_m: PositiveMetres | None
     delay_s: NonNegativeFloat
     accel_window_s: PositiveFloat
 

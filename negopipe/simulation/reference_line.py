@@ -12,7 +12,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.schema import PositiveFloat, schema
+from negopipe.schema import PositiveMetres, Real, schema
 from negopipe.simulation.geometry import smoothstep
 
 REACH_M = 200.0
@@ -40,8 +40,8 @@ class BendConfig:
     angle_deg: how far it turns, positive to the left; the sharpest curvature is 15/8 of angle / length
     """
 
-    start_m: float
-    length_m: PositiveFloat
+    start_m: Real
+    length_m: PositiveMetres
     angle_deg: Annotated[float, Field(gt=-180, lt=180)]
 
 
@@ -155,13 +155,17 @@ def check_bends(bends: Sequence[BendConfig], width_m: float) -> None:
     for bend in bends:
         end = bend.start_m + bend.length_m
         if bend.start_m < -REACH_M or end > REACH_M:
-            raise ValueError(f"bends must lie within {REACH_M:g} m from the corridor, got {bend.start_m:g} to {end:g}")
+            place = f"{bend.start_m:g} to {end:g} by start_m and length_m"
+            raise ValueError(f"bends must lie within {REACH_M:g} m from the corridor, got {place}")
     line = ReferenceLine(bends)
-    sigma = torch.arange(-REACH_M, REACH_M, 0.1, dtype=torch.float64)
+    steps = [torch.arange(-REACH_M, REACH_M, 0.1, dtype=torch.float64)]
+    steps += [bend.start_m + bend.length_m * torch.linspace(0, 1, 101, dtype=torch.float64) for bend in bends]
+    sigma = torch.cat(steps).sort().values  # no bend is so short that it lies between two of them
     sharpest = float(line.curvature(sigma)[0].abs().max())
     if sharpest * width_m > 1:
-        raise ValueError(f"bends must have a radius of at least width_m {width_m:g}, got {1 / sharpest:.3g}")
+        radius = f"{1 / sharpest:.3g} by length_m and angle_deg"
+        raise ValueError(f"bends must have a radius of at least width_m {width_m:g}, got {radius}")
     heading = line.heading(sigma)
     turn_deg = math.degrees(float(heading.max() - heading.min()))
     if turn_deg >= 180:
-        raise ValueError(f"bends must turn by less than 180 deg in all, got {turn_deg:.4g}")
+        raise ValueError(f"bends must turn by less than 180 deg in all, got {turn_deg:.4g} by angle_deg")

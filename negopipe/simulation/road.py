@@ -1,13 +1,13 @@
 """The road: kerbs, parked cars, the corridor between them, and the route that a vehicle follows through it."""
 
 import math
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import torch
-from pydantic import model_validator
+from pydantic import Field, model_validator
 from torch import Tensor
 
-from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
+from negopipe.schema import NonNegativeMetres, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import Boxes, smoothstep, wrap_angle
 from negopipe.simulation.reference_line import BendConfig, ReferenceLine, check_bends
 from negopipe.simulation.state import VehicleState
@@ -21,18 +21,18 @@ KERB_STEP_M = 0.5
 class RoadConfig:
     """Sizes of the road in metres; see `conf/scenario/narrow_lane.yaml` for each one's meaning."""
 
-    bends: list[BendConfig]
-    width_m: PositiveFloat
-    lane_offset_m: PositiveFloat
-    corridor_length_m: PositiveFloat
-    corridor_gap_m: PositiveFloat
+    bends: Annotated[list[BendConfig], Field(max_length=20)]
+    width_m: PositiveMetres
+    lane_offset_m: PositiveMetres
+    corridor_length_m: PositiveMetres
+    corridor_gap_m: PositiveMetres
     parked_sides: Literal["both", "left", "right"]
-    parked_car_length_m: PositiveFloat
-    parked_car_width_m: PositiveFloat
-    n_parked_per_side: PositiveInt
-    swerve_length_m: PositiveFloat
-    swerve_margin_m: NonNegativeFloat
-    target_distance_m: PositiveFloat
+    parked_car_length_m: PositiveMetres
+    parked_car_width_m: PositiveMetres
+    n_parked_per_side: Annotated[PositiveInt, Field(le=100)]
+    swerve_length_m: PositiveMetres
+    swerve_margin_m: NonNegativeMetres
+    target_distance_m: PositiveMetres
 
     @model_validator(mode="after")
     def _fits(self) -> "RoadConfig":
@@ -46,7 +46,7 @@ class RoadConfig:
         if self.n_parked_per_side * self.parked_car_length_m > self.corridor_length_m + 1e-6:
             raise ValueError(
                 f"n_parked_per_side {self.n_parked_per_side} cars of {self.parked_car_length_m} m do not fit into "
-                f"corridor_length_m {self.corridor_length_m}"
+                f"corridor_length_m {self.corridor_length_m} by their parked_car_length_m"
             )
         check_bends(self.bends, self.width_m)
         return self

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from negopipe.errors import UserError
-from negopipe.schema import Interval, NonNegativeFloat, PositiveFloat, PositiveInt, schema
+from negopipe.schema import FileName, Interval, NonNegativeFloat, PositiveFloat, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.road import RoadConfig
 from negopipe.simulation.state import EGO, Task
 
@@ -18,8 +18,8 @@ from negopipe.simulation.state import EGO, Task
 class VehicleConfig:
     """Footprint of every vehicle, m."""
 
-    length_m: PositiveFloat
-    width_m: PositiveFloat
+    length_m: PositiveMetres
+    width_m: PositiveMetres
 
 
 Styles = Annotated[list[NonNegativeFloat], Field(min_length=1)]
@@ -62,17 +62,18 @@ class FamilyConfig:
     style_switch: StyleSwitchConfig | None
 
 
-Families = dict[str, FamilyConfig]
+Families = dict[FileName, FamilyConfig]
+"""By name, which is part of the names of the report's files."""
 
 
 @schema
 class ScenarioConfig:
     """One scenario; `conf/scenario/narrow_lane.yaml` says what each value means."""
 
-    dt_s: PositiveFloat
+    dt_s: Annotated[PositiveFloat, Field(le=2)]
     episode_steps: PositiveInt
     n_social: PositiveInt
-    social_spacing_m: PositiveFloat
+    social_spacing_m: PositiveMetres
     road: RoadConfig
     vehicle: VehicleConfig
     ego_start_distance_m: Interval

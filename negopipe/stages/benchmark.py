@@ -1,8 +1,8 @@
 """The benchmark stage: how fast the game runs here, with each backend and number of worlds, and how fast it could.
 
-Figures have flat names, `<backend>.<worlds>.<figure>`, beside `reference.*` (the machine) and `limit.*` (what a
-decision needs). Every cell is measured in a process of its own, so that neither memory nor compiled code of one
-reaches another.
+Figures have flat names, `<backend>.<worlds>.<figure>`, beside `reference.*` (the machine), `limit.*` (what a decision
+needs) and `train.*` (training as configured). Every cell is measured in a process of its own, so that neither memory
+nor compiled code of one reaches another.
 """
 
 import json
@@ -41,6 +41,7 @@ from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO
 from negopipe.stages.backend import prepare
 from negopipe.stages.progress import ProgressLine
+from negopipe.stages.training_speed import measure_training
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -76,7 +77,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     devices = sorted({_device(backend).type for backend in backends})
     cells = [(backend, n) for backend in backends for n in sorted(set(config.benchmark.n_worlds))]
     figures: Figures = {}
-    with ProgressLine("benchmark", len(devices) + len(cells)) as progress:
+    with ProgressLine("benchmark", len(devices) + len(cells) + 1) as progress:
         for device in devices:
             figures |= _in_own_process(measure_machine, config, device)
             progress.advance(f"{device}, {figures[_reference(device) + 'matmul_gflops']:.0f} GFLOPS")
@@ -84,6 +85,8 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
             figures |= _in_own_process(measure_cell, config, backend, n_worlds)
             rate = figures[f"{backend}.{n_worlds}.decisions_per_s"]
             progress.advance(f"{backend}, {n_worlds} worlds, {rate:.0f} decisions/s")
+        figures |= _in_own_process(measure_training, config, run.folder)
+        progress.advance(f"training, {figures['train.decisions_per_s']:.0f} decisions/s")
     figures |= limits(config, devices, figures)
     figures |= comparisons(config, cells, figures)
     path = run.folder / BENCHMARK_NAME
@@ -249,7 +252,7 @@ def _answer(
 def _show(cells: list[tuple[Backend, int]], figures: Figures) -> None:
     """The machine and the limit a line each, then a table with a row per cell."""
     for name, value in figures.items():
-        if name.startswith(("reference.", "limit.")):
+        if name.startswith(("reference.", "limit.", "train.")):
             log.info(f"{name} {_short(value)}")
     table = Table()
     table.add_column("backend")

@@ -60,7 +60,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
             with training.curve.tracking():
                 run.log_metrics(training.curve.scalars(row), step=row["decisions"])
                 if training.is_at_stage_end:
-                    _save(config, run, training)
+                    save_stage(config, run, training)
                 if is_due or asked_to_stop():
                     run.sync()  # what the snapshot stands for is not logged again
                     training.save_to(snapshots)
@@ -233,7 +233,7 @@ class LearningCurve:
         pd.DataFrame(self.rows).to_csv(path, index=False)
 
 
-def _save(config: "RunConfig", run: "TrackedRun", training: Training) -> None:
+def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> None:
     """Keep what a finished stage has reached."""
     curve = training.curve
     row = curve.rows[-1]

@@ -21,11 +21,13 @@ from negopipe.gym_env import compose_config
 from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.stages import benchmark
 from negopipe.stages.benchmark import available, comparisons, measure_cell
+from negopipe.stages.training_speed import measure_training
 
 CPU = torch.device("cpu")
 TINY = (
     "+experiment=benchmark",
     "n_threads=1",
+    "device=cpu",
     "benchmark.n_worlds=[4,1]",
     "benchmark.base_n_worlds=1",
     "benchmark.backends=[eager]",
@@ -33,6 +35,10 @@ TINY = (
     "benchmark.n_repetitions=2",
     "benchmark.n_warmups=1",
     "benchmark.n_latencies=5",
+    "benchmark.n_iterations=2",
+    "algorithm.n_worlds=4",
+    "algorithm.n_steps=8",
+    "algorithm.minibatch_size=16",
 )
 EVERY_CELL = {
     "decisions_per_s",
@@ -50,6 +56,8 @@ SHARED = {
     "limit.flops_per_decision",
     "limit.bytes_per_decision",
     "limit.decisions_per_s",
+    "train.decisions_per_s",
+    "train.tracking_share",
 }
 
 
@@ -84,13 +92,22 @@ def test_all_figures_are_written_under_their_names(
     expected |= {f"eager.1.{name}" for name in LATENCIES} | {"eager.4.cost_per_world_ratio"}
     assert set(figures) == expected
     assert all(value > 0 for value in figures.values())
-    assert all(re.fullmatch(r"(reference|limit|eager\.\d+)\.[a-z0-9_]+", name) for name in figures)
+    assert all(re.fullmatch(r"(reference|limit|train|eager\.\d+)\.[a-z0-9_]+", name) for name in figures)
     assert figures["eager.1.decision_latency_ms_p50"] <= figures["eager.1.decision_latency_ms_p99"]
+    assert figures["train.tracking_share"] < 1
     assert run.artifacts == [("benchmark.json", "")]
     assert run.metrics["benchmark/eager/4/decisions_per_s"] == figures["eager.4.decisions_per_s"]
     shown = capsys.readouterr().out
     assert "benchmark 100%" in shown
     assert len(re.findall(r"^│ eager", shown, flags=re.MULTILINE)) == 2
+
+
+def test_the_tracking_share_grows_with_what_is_kept(tiny: RunConfig, tmp_path: Path) -> None:
+    """A snapshot after every iteration costs more than one a minute."""
+    often = replace(tiny, tracking=replace(tiny.tracking, snapshot_period_s=1e-3))
+    rare, frequent = (measure_training(config, tmp_path)["train.tracking_share"] for config in (tiny, often))
+    assert rare < frequent
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_cell_that_dies_is_named(tiny: RunConfig, tmp_path: Path) -> None:

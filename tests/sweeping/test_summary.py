@@ -1,0 +1,164 @@
+"""A sweep's table, figure and best config, from run folders that were made up."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from negopipe.sweeping.parallel_coordinates import parallel_coordinates
+from negopipe.sweeping.summary import main
+from negopipe.sweeping.swept_runs import differing_keys, flat, read_runs, tabulate
+
+KEYS = ["evaluation.push.adaptive.reward", "evaluation.yield.adaptive.reward"]
+
+
+def make_run(outputs: Path, seed: int, rate: float, reward: float | None, /, **changes: Any) -> Path:
+    """A run folder; `changes` are of the config, `record` and `stages` of what is finished."""
+    record = {"tags": {"overrides": f"+experiment=yield algorithm.rate={rate} seed={seed}", "sweep": "rates"}}
+    record |= changes.pop("record", {})
+    record["finished"] = {stage: {} for stage in changes.pop("finished", ["train", "evaluate"])}
+    config = {
+        "name": "yield",
+        "seed": seed,
+        "outputs": str(outputs),
+        "stages": ["train", "evaluate"],
+        "objective": KEYS,
+    }
+    config |= {"algorithm": {"rate": rate, "gamma": 0.99}, "reward": {"kind": "paper"}, **changes}
+    folder = outputs / "yield" / f"seed{seed}-{rate}-{len(list(outputs.glob('yield/*')))}"
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    (folder / "record.json").write_text(json.dumps(record), encoding="utf-8")
+    metrics = {"evaluation": {setting: {"adaptive": {"reward": reward}} for setting in ("push", "yield")}}
+    (folder / "metrics.json").write_text(json.dumps(metrics), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def outputs(tmp_path: Path) -> Path:
+    """Three rates with two seeds each, one of them without an objective."""
+    for rate, rewards in {0.1: (-6.0, -8.0), 0.2: (-3.0, None), 0.4: (-9.0, -9.0)}.items():
+        for seed, reward in enumerate(rewards, start=1):
+            make_run(tmp_path, seed, rate, reward, finished=["train"] if reward is None else ["train", "evaluate"])
+    return tmp_path
+
+
+def test_seeds_of_a_config_are_one_row_the_best_first(outputs: Path) -> None:
+    runs = read_runs(outputs / "yield")
+    assert differing_keys(runs) == ["algorithm.rate"]
+    table = tabulate(runs, KEYS)
+    assert table["algorithm.rate"].tolist() == [0.2, 0.1, 0.4]
+    assert table["objective"].tolist() == [-3.0, -7.0, -9.0]
+    assert table["objective_std"].tolist()[1:] == [pytest.approx(2**0.5), 0.0]
+    assert np.isnan(table["objective_std"][0])
+    assert table["seeds"].tolist() == [1, 2, 2]
+    assert table["status"].tolist() == ["1 of 2 finished", "finished", "finished"]
+    assert table["runs"][1].split()[0].startswith("seed1-0.1")
+    assert tabulate(runs, KEYS, minimize=True)["algorithm.rate"].tolist() == [0.4, 0.1, 0.2]
+
+
+def test_a_run_without_an_objective_comes_last(outputs: Path) -> None:
+    make_run(outputs, 1, 0.9, None, finished=[])
+    table = tabulate(read_runs(outputs / "yield"), KEYS)
+    assert table["algorithm.rate"].tolist()[-1] == 0.9
+    assert table["status"].tolist()[-1] == "unfinished"
+    assert table["seeds"].tolist()[-1] == 0
+
+
+def test_what_changes_no_result_makes_no_column(outputs: Path) -> None:
+    make_run(outputs, 3, 0.1, -1.0, n_threads=7, outputs="elsewhere", tracking={"uri": "x"}, stages=["train"])
+    assert differing_keys(read_runs(outputs / "yield")) == ["algorithm.rate"]
+
+
+def test_a_key_that_a_run_lacks_differs(outputs: Path) -> None:
+    make_run(outputs, 1, 0.1, -1.0, dynamics={"lag_s": 0.1})
+    table = tabulate(read_runs(outputs / "yield"), KEYS)
+    assert table["dynamics.lag_s"].tolist() == [0.1, None, None, None]
+
+
+def test_lists_of_mappings_are_flat_and_others_whole() -> None:
+    tree = {"stages": [{"n": 1}, {"n": 2}], "horizons": [1, 2], "none": [], "a": {}}
+    assert flat(tree) == {"stages.0.n": 1, "stages.1.n": 2, "horizons": [1, 2], "none": [], "a": {}}
+
+
+def test_a_command_writes_table_and_figure_and_prints_what_to_paste(
+    outputs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(outputs / "yield")]) == 0
+    shown = capsys.readouterr().out
+    assert "  python -m negopipe +experiment=yield algorithm.rate=0.2\n" in shown
+    target = outputs / "sweeps" / "yield"
+    assert pd.read_csv(target / "summary.csv")["objective"].tolist() == [-3.0, -7.0, -9.0]
+    assert (target / "parallel_coordinates.png").read_bytes().startswith(b"\x89PNG")
+    assert "objective" in (target / "parallel_coordinates.svg").read_text(encoding="utf-8")
+    assert main([str(outputs / "yield"), "--minimize"]) == 0
+    assert "algorithm.rate=0.4\n" in capsys.readouterr().out
+
+
+def test_another_objective_and_one_sweep_only(outputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_run(
+        outputs, 1, 0.7, -1.0, record={"tags": {"sweep": "other", "overrides": ["name=a b", "algorithm.rate=0.7"]}}
+    )
+    assert main([str(outputs / "yield"), "--sweep", "other", "--objective", KEYS[0]]) == 0
+    assert "  python -m negopipe 'name=a b' algorithm.rate=0.7\n" in capsys.readouterr().out
+    assert (outputs / "sweeps" / "other" / "summary.csv").exists()
+    assert not (outputs / "sweeps" / "other" / "parallel_coordinates.png").exists(), "nothing differs in one run"
+    assert main([str(outputs / "yield"), "--objective", "evaluation.nothing"]) == 0
+    assert "best       none: no run has all of evaluation.nothing" in capsys.readouterr().out
+
+
+def test_overrides_that_are_not_recorded_are_made_of_what_differs(
+    outputs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_run(outputs, 1, 0.7, -1.0, record={"tags": {}}, reward={"kind": "strict", "list": [1, 2]})
+    assert main([str(outputs / "yield")]) == 0
+    expected = "  python -m negopipe algorithm.rate=0.7 reward.kind=strict 'reward.list=[1, 2]'\n"
+    assert expected in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["nowhere"], "the folder must be outputs/<name> with runs in it, got nowhere"),
+        (["yield", "--sweep", "x"], "--sweep must be one of rates, got x"),
+    ],
+)
+def test_what_cannot_be_summarized_is_one_line(
+    outputs: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    line: str,
+) -> None:
+    monkeypatch.chdir(outputs)
+    assert main(arguments) == 1
+    assert capsys.readouterr().err == f"{line}\n"
+
+
+def test_the_figure_has_an_axis_per_key_and_one_for_the_objective() -> None:
+    table = pd.DataFrame(
+        {
+            "algorithm.kl_clip": [1e-4, 1e-2, 1e-3, 1e-3],
+            "policy.horizons_s": [[2.0], [2.0], [0.0, 2.0, 4.0, 6.0], None],
+            "objective": [1.0, 3.0, 2.0, np.nan],
+        }
+    )
+    figure = parallel_coordinates(table, ["algorithm.kl_clip", "policy.horizons_s"], "objective")
+    (axis,) = figure.axes
+    assert [label.get_text() for label in axis.get_xticklabels()] == [
+        "kl_clip\n(algorithm)",
+        "horizons_s\n(policy)",
+        "objective",
+    ]
+    texts = {text.get_text() for text in axis.texts}
+    assert texts >= {"0.0001", "0.001", "0.01", "[2.0]", "[0.0, 2.0, 4.…", "1", "2", "3"}
+    lines = [line for line in axis.lines if len(np.asarray(line.get_xdata())) == 3]
+    assert len(lines) == 3, "what has no objective has no line"
+    best = max(lines, key=lambda line: line.get_linewidth())
+    assert np.asarray(best.get_ydata())[[0, 2]].tolist() == [1.0, 1.0]
+    middle = [line for line in lines if np.isclose(np.asarray(line.get_ydata())[2], 0.5)]
+    assert np.isclose(np.asarray(middle[0].get_ydata())[0], 0.5), "the axis is logarithmic"
