@@ -11,10 +11,12 @@ The map, from the bottom up (a part imports only what stands above it here):
     learning/     rollout, advantage, kfac, acktr, curriculum: tensors only, nothing of the simulator
     chunks, env   the game as batched worlds for the learner
     evaluation/   drives held-out tasks: planners, episodes, trace, metrics
-    report/       figures, animation, page     tracking/   MLflow store, checkpoints, snapshots
+    report/       figures, animation, page
+    tracking/     what a run tells a store: journal -> delivery -> MLflow; checkpoints, snapshots
     stages/       train, evaluate, report, behaviour_map, oracle, benchmark: each a function of config and run;
                   what is stopped goes on from its last snapshot
     config        RunConfig, the root schema   identity   which results are the same
+    sweeping/     a sweep's objective, Optuna search, summary
     __main__      the command line             gym_env    gymnasium's door
 
 One decision (E worlds, V vehicles)

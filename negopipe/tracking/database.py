@@ -78,7 +78,7 @@ def connect(outputs: Path, uri: str | None) -> "MlflowClient":
         _set_tracking_uri(uri)
         return MlflowClient()
     except MlflowException as error:
-        reason = str(error).splitlines()[0]
+        reason = str(error).splitlines()[0][:200]
         raise UserError(f"tracking.uri must be a store that MLflow can open, got {uri}: {reason}") from error
 
 

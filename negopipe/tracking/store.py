@@ -24,7 +24,7 @@ import yaml
 from filelock import FileLock, Timeout
 
 from negopipe.errors import UserError
-from negopipe.schema import PositiveFloat, PositiveInt, schema
+from negopipe.schema import Label, PositiveFloat, PositiveInt, schema
 from negopipe.tracking.database import connect, database_path, store_lock
 from negopipe.tracking.delivery import Delivery
 from negopipe.tracking.journal import Journal
@@ -58,8 +58,8 @@ class TrackingConfig:
     """Where and how runs are recorded; `conf/tracking/mlflow.yaml` says what each value means."""
 
     uri: str | None
-    experiment: str
-    registered_model: str | None
+    experiment: Label
+    registered_model: Label | None
     n_metrics_per_flush: PositiveInt
     flush_period_s: PositiveFloat
     snapshot_period_s: PositiveFloat
