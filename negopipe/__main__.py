@@ -24,7 +24,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from negopipe import CONF
+from negopipe import CONF, hydra_targets
 from negopipe.config_errors import LONGEST_LINE, explain_composition, shown
 from negopipe.errors import UserError
 from negopipe.sweeping import optuna_sweeper
@@ -77,6 +77,7 @@ def main() -> int:
 @hydra.main(config_path=str(CONF), config_name="config", version_base="1.3")
 def pipeline(composed: DictConfig) -> float | None:
     """One job of the command line, in this process or in a launcher's worker; its objective, for sweepers."""
+    assert hydra_targets  # named here, it is imported in a worker before Hydra makes anything of the job's config
     signal.signal(signal.SIGTERM, _terminate)
     try:
         return run_stages(composed)

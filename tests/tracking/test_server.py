@@ -1,48 +1,15 @@
 """A tracking server that goes away in the middle of a training and comes back: nothing is missing there."""
 
-import os
-import signal
-import socket
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from urllib.error import URLError
-from urllib.request import urlopen
 
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
+from mlflow_server import free_port, server
 
 TRAIN = ("+experiment=smoke", "stages=[train]", "n_threads=1", "tracking.flush_period_s=0.1")
-
-
-def free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
-
-
-@contextmanager
-def server(folder: Path, port: int) -> Iterator[str]:
-    """A server with its store in `folder`; killed at the end as a power failure would."""
-    script = Path(__file__).parents[2] / "jobs" / "tracking_server.sh"
-    place = {"STORE": str(folder), "PORT": str(port), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    process = subprocess.Popen(["bash", str(script)], env={**os.environ, **place}, start_new_session=True)
-    uri = f"http://127.0.0.1:{port}"
-    try:
-        for _ in range(600):
-            try:
-                urlopen(f"{uri}/health", timeout=5).close()
-                break
-            except (URLError, OSError):
-                time.sleep(0.2)
-        yield uri
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
 
 
 @pytest.mark.slow

@@ -1,0 +1,110 @@
+"""Every command of README.md and every script of jobs/ runs, at small size."""
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from mlflow_server import free_port, server
+
+ROOT = Path(__file__).parent.parent
+SMALL = (
+    "compile=off n_threads=1 curriculum=smoke scenario.episode_steps=48 algorithm.n_worlds=4 algorithm.n_steps=8 "
+    "algorithm.minibatch_size=16 evaluation.n_episodes=4 report.n_animations=1 behaviour_map.n_episodes=2 "
+    "oracle.n_episodes=2 oracle.population=2 oracle.rounds=1 benchmark.n_worlds=[1,2] benchmark.base_n_worlds=1 "
+    "benchmark.backends=[eager] benchmark.min_time_s=0.01 benchmark.n_latencies=5 benchmark.n_iterations=2"
+)
+SMALL_PYTHON = f"""#!/usr/bin/env bash
+if [ "$1 $2" = "-m negopipe" ] && [[ " $* " != *" --help "* ]]; then
+  [[ " $* " == *hydra/sweeper=optuna* ]] && set -- "$@" hydra.sweeper.n_trials=2
+  exec {sys.executable} "$@" {SMALL}
+fi
+exec {sys.executable} "$@"
+"""
+"""Stands for python: what follows a command's own settings makes it small."""
+
+NOT_RUN = {
+    "make ui": "a server",
+    "make test": "the tests themselves",
+    "bash jobs/tracking_server.sh": "a server, used by the commands after it",
+}
+NEEDS = {"joblib": "hydra_plugins.hydra_joblib_launcher", "submitit": "submitit", "ray": "ray", "optuna": "optuna"}
+
+
+def readme_commands() -> list[str]:
+    """Lines of the fenced blocks that name no language, without comments."""
+    blocks = re.findall(r"^```\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.M | re.S)
+    lines = [re.sub(r"\s+#.*", "", line).strip() for block in blocks for line in block.splitlines()]
+    return [line for line in lines if line and line not in NOT_RUN]
+
+
+def missing_engine(command: str) -> str | None:
+    engines = {name for name in NEEDS if re.search(rf"(launcher|sweeper)={name}", command)}
+    return next((name for name in engines if importlib.util.find_spec(NEEDS[name]) is None), None)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that looks like a checkout, in which `python` and the Makefile's python are small."""
+    folder = tmp_path_factory.mktemp("checkout")
+    for name in ("jobs", "conf", "negopipe"):
+        (folder / name).symlink_to(ROOT / name)
+    for name in ("Makefile", "pyproject.toml"):
+        shutil.copyfile(ROOT / name, folder / name)
+    (folder / ".ci").symlink_to(ROOT / ".ci")
+    python = folder / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text(SMALL_PYTHON)
+    python.chmod(0o755)
+    (folder / ".venv" / ".ready").touch()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with server(tmp_path_factory.mktemp("server"), free_port()) as uri:
+        yield uri
+
+
+def run(command: str, place: Path, **more: str) -> str:
+    environment = {**os.environ, **more, "PATH": f"{place}/.venv/bin:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=place, env=environment, capture_output=True, text=True, timeout=590, check=False
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", readme_commands())
+def test_a_command_of_the_readme_runs(command: str, place: Path, address: str) -> None:
+    if engine := missing_engine(command):
+        pytest.skip(f"{engine} is not installed")
+    checkpoints = sorted(place.glob("outputs/yield/*/checkpoint.safetensors"))
+    if checkpoints:
+        command = command.replace("<file or MLflow run id>", str(checkpoints[0]))
+    assert run(command.replace("http://127.0.0.1:5000", address), place)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", sorted(path.name for path in (ROOT / "jobs").glob("*.sh")))
+def test_a_script_of_jobs_runs(script: str, place: Path, address: str) -> None:
+    if script == "tracking_server.sh":
+        pytest.skip("is what the address is of")
+    if script == "slurm_sweep.sh" and shutil.which("sbatch") is None:
+        pytest.skip("there is no SLURM")
+    if engine := missing_engine((ROOT / "jobs" / script).read_text(encoding="utf-8")):
+        pytest.skip(f"{engine} is not installed")
+    where = {"ADDRESS": "local"} if script == "ray_sweep.sh" else {}
+    run(f"bash jobs/{script}", place, MLFLOW_TRACKING_URI=address, **where)
+
+
+@pytest.mark.slow
+def test_chaos_leaves_every_job_finished_once(place: Path) -> None:
+    said = run("python jobs/chaos.py --jobs 5 --killed 0.4", place)
+    assert "equal results 5 of 5" in said
