@@ -3,19 +3,26 @@
 from pathlib import Path
 from typing import Any
 
+from negopipe.tracking.metrics_file import merge_into, read
+from negopipe.tracking.store import METRICS_NAME
+
 
 class RecordedRun:
     """Remembers what a stage gives it.
 
     artifacts: (file name, artifact folder) each
-    sections: parts of metrics.json; metrics: what went to the store
+    metrics: what went to the store
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.description = folder, ""
         self.artifacts: list[tuple[str, str]] = []
-        self.sections: dict[str, Any] = {}
         self.metrics: dict[str, float] = {}
+
+    @property
+    def sections(self) -> dict[str, Any]:
+        """The parts of metrics.json."""
+        return read(self.folder / METRICS_NAME)
 
     def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
         assert path.is_file()
@@ -31,7 +38,7 @@ class RecordedRun:
         pass
 
     def update_metrics_json(self, section: dict[str, Any]) -> None:
-        self.sections |= section
+        merge_into(self.folder / METRICS_NAME, section)
 
     def set_description(self, markdown: str) -> None:
         self.description = markdown

@@ -1,6 +1,8 @@
 """The oracle stage: the best sequence of horizons per held-out task, and what the fixed horizons do on the same."""
 
 import logging
+import shutil
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from negopipe.simulation.state import EGO, Task, map_tensors
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import device_of
+from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -26,28 +29,44 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
+PARTS_NAME = "oracle"
+"""Folder of a run in which the settings that are done wait for the others."""
 CONVERGED = 0.05
 """A search is said to have converged if twice the budget gains less than this, in mean return."""
 
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
-    """Search all settings; writes oracle.csv (`table` and `n_switches`) and the part `oracle` of metrics.json."""
+    """Search all settings; writes oracle.csv (`table` and `n_switches`) and the part `oracle` of metrics.json.
+
+    A run that was stopped goes on with the setting that it was at.
+    """
     game = build_game(config, device_of(config), is_compiled=config.compile == "on")
-    rows, measures = [], {}
+    parts = {setting: run.folder / PARTS_NAME / f"{setting}.csv" for setting in config.oracle.settings}
     n_rounds = 2 * config.oracle.rounds
-    with ProgressLine("oracle", len(config.oracle.settings) * n_rounds) as progress:
-        for setting in config.oracle.settings:
-            tasks = oracle_tasks(config, game, setting)
-            half, best = find(config, game, tasks, setting, progress)
-            trace = play(config, game, tasks, best, setting)
-            own = episodes(trace, config.scenario.road.corridor_length_m)
-            fixed = fixed_episodes(config, game, tasks, setting)
-            rows.append(table(own, fixed).assign(n_switches=n_switches(trace)))
-            measures[setting] = _measures(own, fixed, half, best)
-            _say(setting, measures[setting])
-    pd.concat(rows, ignore_index=True).to_csv(run.folder / "oracle.csv", index=False)
+    n_before = sum(part.exists() for part in parts.values()) * n_rounds
+    with ProgressLine("oracle", len(parts) * n_rounds, n_before) as progress:
+        for setting, part in parts.items():
+            if not part.exists():
+                _search(config, game, run, setting, part, progress)
+    table = pd.concat([pd.read_csv(part, dtype=str, keep_default_na=False) for part in parts.values()])
+    write_whole(run.folder / "oracle.csv", table.to_csv(index=False).encode())
     run.log_artifact(run.folder / "oracle.csv")
-    run.update_metrics_json({"oracle": measures})
+    shutil.rmtree(run.folder / PARTS_NAME)
+
+
+def _search(
+    config: "RunConfig", game: Game, run: "TrackedRun", setting: str, part: Path, progress: ProgressLine
+) -> None:
+    """One setting; its rows go to the file `part`, whose presence tells that the setting is done."""
+    tasks = oracle_tasks(config, game, setting)
+    half, best = find(config, game, tasks, setting, progress)
+    trace = play(config, game, tasks, best, setting)
+    own = episodes(trace, config.scenario.road.corridor_length_m)
+    fixed = fixed_episodes(config, game, tasks, setting)
+    measures = _measures(own, fixed, half, best)
+    _say(setting, measures)
+    run.update_metrics_json({"oracle": {setting: measures}})
+    write_whole(part, table(own, fixed).assign(n_switches=n_switches(trace)).to_csv(index=False).encode())
 
 
 def oracle_tasks(config: "RunConfig", game: Game, setting: str) -> Task:

@@ -1,5 +1,8 @@
 """The oracle stage: its tasks are the evaluation's, its files agree with the drives, wrong values are named."""
 
+from pathlib import Path
+from typing import Any
+
 import pandas as pd
 import pytest
 import torch
@@ -44,7 +47,7 @@ def test_a_row_per_task_and_measures_that_agree(ran: RecordedRun) -> None:
     assert table[["setting", "episode"]].to_numpy().tolist() == [[s, i] for s in ("push", "mixture") for i in (0, 1)]
     assert (table["reward"] >= table["best_fixed_reward"]).all()
     assert table["best_fixed_horizon_s"].isin([0.0, 2.0, 4.0, 6.0]).all()
-    assert list(ran.sections["oracle"]) == ["push", "mixture"]
+    assert set(ran.sections["oracle"]) == {"push", "mixture"}
     for setting, measures in ran.sections["oracle"].items():
         rows = table[table["setting"] == setting]
         assert measures["n_tasks"] == len(rows)
@@ -54,6 +57,30 @@ def test_a_row_per_task_and_measures_that_agree(ran: RecordedRun) -> None:
         assert measures["is_converged"] == (measures["gain_by_doubling"] < oracle.CONVERGED)
         assert list(measures["fixed"]) == ["fixed_0", "fixed_2", "fixed_4", "fixed_6"]
         assert max(each["reward"] for each in measures["fixed"].values()) <= rows["best_fixed_reward"].mean()
+
+
+def test_a_search_that_is_stopped_goes_on_with_the_setting_it_was_at(
+    ran: RecordedRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(search, "SWITCH_STEPS", (8, 24))
+    monkeypatch.setattr(search, "SWITCH_PAIRS", ((8, 24),))
+    searched, find = [], oracle.find
+
+    def mortal(*arguments: Any) -> Any:
+        searched.append(arguments[3])
+        if searched == ["push", "mixture"]:
+            raise KeyboardInterrupt
+        return find(*arguments)
+
+    monkeypatch.setattr(oracle, "find", mortal)
+    run = RecordedRun(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        oracle.run(tiny(), run)  # type: ignore[arg-type]
+    oracle.run(tiny(), run)  # type: ignore[arg-type]
+    assert searched == ["push", "mixture", "mixture"]
+    assert (tmp_path / "oracle.csv").read_bytes() == (ran.folder / "oracle.csv").read_bytes()
+    assert run.sections == ran.sections
+    assert not (tmp_path / "oracle").exists()
 
 
 def test_the_tasks_are_the_first_of_the_evaluation(config: RunConfig, game: Game) -> None:
