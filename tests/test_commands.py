@@ -20,7 +20,7 @@ SMALL = (
     "benchmark.backends=[eager] benchmark.min_time_s=0.01 benchmark.n_latencies=5 benchmark.n_iterations=2"
 )
 SMALL_PYTHON = f"""#!/usr/bin/env bash
-if [ "$1 $2" = "-m negopipe" ] && [[ " $* " != *" --help "* ]]; then
+if [ "$1 $2" = "-m negopipe" ] && [[ " $* " != *" --help "* && " $* " != *" --cfg "* ]]; then
   [[ " $* " == *hydra/sweeper=optuna* ]] && set -- "$@" hydra.sweeper.n_trials=2
   exec {sys.executable} "$@" {SMALL}
 fi
