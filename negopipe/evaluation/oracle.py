@@ -31,6 +31,14 @@ SWITCH_STEPS = range(4, 48, 4)
 SWITCH_PAIRS = tuple(combinations(range(8, 48, 8), 2))
 """... and those of two: every 1.6 s."""
 SECOND_PIECE_CHANCE = 0.5
+BORROWED_CHANCE = 0.3
+"""How often a candidate is made of another task's best sequence: what helps in one task often helps in its like."""
+N_ALIKE = 8
+"""Tasks that a task borrows from: those that are most like it."""
+NEVER_S = 100.0
+STYLE_M_PER_S = 10.0
+"""What counts as much as a metre of start distance when tasks are compared is a tenth of a second of a style: tasks of
+one style are alike."""
 
 
 @schema
@@ -132,7 +140,8 @@ def improve(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, r
 
     Of equally good ones the candidate stays, so that the search may drift where decisions have no effect.
     """
-    found = _best(rollouts, tasks, candidates(best, rollouts.n_actions, population, random), best.score)
+    tried = candidates(best, alike(tasks), rollouts.n_actions, population, random)
+    found = _best(rollouts, tasks, tried, best.score)
     return where_world(found.score >= best.score, found, best)
 
 
@@ -148,22 +157,43 @@ def _best(rollouts: Rollouts, tasks: Task, actions: Tensor, at_least: Tensor | N
     return map_tensors(lambda field: field[rows], played)
 
 
-def candidates(best: Sequences, n_actions: int, population: int, random: Generator) -> Tensor:
+def alike(tasks: Task) -> Tensor:
+    """[N, K] int64: for each task those among the others that are most like it, itself where there is no other."""
+    styles = torch.cat([tasks.style_horizon, tasks.next_style_horizon, tasks.switch_time, tasks.patience], 1)
+    styles = styles.nan_to_num(nan=-1.0, posinf=NEVER_S)
+    features = torch.cat([tasks.start_distance, STYLE_M_PER_S * styles], 1).double()
+    apart = torch.cdist(features, features).fill_diagonal_(-1.0)
+    n_others = min(N_ALIKE, len(tasks) - 1)
+    return apart.argsort(dim=1, stable=True)[:, min(1, n_others) : n_others + 1]
+
+
+def candidates(best: Sequences, likes: Tensor, n_actions: int, population: int, random: Generator) -> Tensor:
     """[N, C, T] int64: `best` [N] changed at random, in the decisions that count.
 
+    likes: [N, K] int64, tasks whose sequences are worth a try
+
     One or two pieces are written over with one horizon each: that moves, adds and removes switches. Now and then all
-    decisions from some step on come a little earlier or later.
+    decisions from some step on come a little earlier or later, or another task's sequence is what is changed.
     """
-    n_steps = best.n_steps[:, None, None]
-    actions = best.actions[:, None].expand(-1, population, -1)
+    source = _sources(likes, population, random)
+    n_steps, actions = best.n_steps[source][..., None], best.actions[source]
     once = _write_over(actions, n_steps, n_actions, random)
     twice = _write_over(once, n_steps, n_actions, random)
     changed = torch.where(_uniform(actions, random) < SECOND_PIECE_CHANCE, twice, once)
     return torch.where(_uniform(actions, random) < SHIFT_CHANCE, _shift(changed, n_steps, random), changed)
 
 
+def _sources(likes: Tensor, population: int, random: Generator) -> Tensor:
+    """[N, C] int64: the task whose sequence a candidate is made of."""
+    n_tasks, n_likes = likes.shape
+    own = torch.arange(n_tasks, device=likes.device)[:, None].expand(-1, population)
+    choice = torch.randint(n_likes, own.shape, generator=random, device=own.device)
+    is_borrowed = torch.rand(own.shape, generator=random, device=own.device) < BORROWED_CHANCE
+    return torch.where(is_borrowed, likes.gather(1, choice), own)
+
+
 def _write_over(actions: Tensor, n_steps: Tensor, n_actions: int, random: Generator) -> Tensor:
-    """One piece of each sequence gets one horizon; lengths are log-uniform up to `n_steps` [N, 1, 1]."""
+    """One piece of each sequence gets one horizon; lengths are log-uniform up to `n_steps` [N, C, 1]."""
     length = n_steps ** _uniform(actions, random)
     start = _uniform(actions, random) * (n_steps + length) - length
     step = torch.arange(actions.shape[2], device=actions.device)

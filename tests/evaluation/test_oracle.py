@@ -13,7 +13,7 @@ from negopipe.config import RunConfig
 from negopipe.env import Game
 from negopipe.evaluation import oracle
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.oracle import Rollouts, Sequences, best_simple, candidates, improve
+from negopipe.evaluation.oracle import Rollouts, Sequences, alike, best_simple, candidates, improve
 from negopipe.evaluation.planners import sequence_planner
 from negopipe.simulation.state import Task, map_tensors
 
@@ -73,7 +73,9 @@ def test_same_seed_same_result(found: list[Sequences], rollouts: Rollouts, tasks
     again = improve(rollouts, tasks, found[0], POPULATION, random)
     assert torch.equal(again.score, found[1].score)
     assert torch.equal(again.actions, found[1].actions)
-    one, same, other = (candidates(found[0], 4, 3, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1))
+    one, same, other = (
+        candidates(found[0], alike(tasks), 4, 3, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)
+    )
     assert torch.equal(one, same)
     assert not torch.equal(one, other)
 
@@ -123,7 +125,7 @@ def test_it_finds_the_best_of_all_sequences(config: RunConfig, game: Game, tasks
 
 def test_giving_up_loses_nothing_that_counts(rollouts: Rollouts, found: list[Sequences], tasks: Task) -> None:
     best = found[0]
-    tried = candidates(best, rollouts.n_actions, 1, torch.Generator().manual_seed(5))[:, 0]
+    tried = candidates(best, alike(tasks), rollouts.n_actions, 1, torch.Generator().manual_seed(5))[:, 0]
     whole = rollouts.play(tasks, tried, none_given_up(len(tasks)))
     hurried = rollouts.play(tasks, tried, best.score)
     counts = whole.score >= best.score
@@ -136,10 +138,27 @@ def test_giving_up_loses_nothing_that_counts(rollouts: Rollouts, found: list[Seq
 
 def test_candidates_change_decisions_that_count(rollouts: Rollouts, found: list[Sequences]) -> None:
     best = found[0]
-    tried = candidates(best, rollouts.n_actions, 400, torch.Generator().manual_seed(0))
+    alone = torch.arange(4)[:, None]  # nobody borrows from another
+    tried = candidates(best, alone, rollouts.n_actions, 400, torch.Generator().manual_seed(0))
     assert tried.shape == (4, 400, rollouts.n_steps)
     assert set(tried.unique().tolist()) == {0, 1, 2, 3}
     is_changed = tried != best.actions[:, None]
     for task, n in enumerate(best.n_steps.tolist()):
         assert is_changed[task, :, :n].any(0).all()
         assert is_changed[task, :, :n].any(1).float().mean() > 0.6  # a piece may get the horizon that it had
+
+
+def test_tasks_borrow_from_their_like(tasks: Task, found: list[Sequences]) -> None:
+    """The nearest starts of the same style come first, never the task itself; what is borrowed is another's."""
+    start = torch.tensor([[12.0, 12.0], [12.5, 12.0], [18.0, 12.0], [12.0, 12.1]])
+    style = torch.tensor([[torch.nan, 2.0], [torch.nan, 2.0], [torch.nan, 2.0], [torch.nan, 6.0]])
+    ordered = alike(replace(tasks, start_distance=start, style_horizon=style))
+    assert ordered.tolist() == [[1, 2, 3], [0, 2, 3], [1, 0, 3], [0, 1, 2]]
+    assert alike(map_tensors(lambda field: field[:1], tasks)).tolist() == [[0]]
+    marked = replace(found[0], actions=torch.arange(4)[:, None].expand(4, 128), n_steps=torch.full((4,), 128))
+    tried = candidates(marked, ordered[:, :1], 4, 400, torch.Generator().manual_seed(0))
+    most = tried.mode(2).values  # pieces that are written over are mostly short
+    own = (most == torch.arange(4)[:, None]).float().mean(1)
+    borrowed = (most == ordered[:, :1]).float().mean(1)
+    assert ((own > 0.5) & (own < 0.8)).all()
+    assert ((borrowed > 0.2) & (borrowed < 0.45)).all()
