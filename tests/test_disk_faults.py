@@ -48,6 +48,7 @@ def only_line(text: str) -> str:
     return line
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_in_one_line_and_with_more_room_it_goes_on(tmp_path: Path) -> None:
     """8 MB take the store and the beginning of a training, not two snapshots of it."""
     full, larger = run_on("size=8m size=200m", tmp_path / "disk")

@@ -102,6 +102,7 @@ def test_all_figures_are_written_under_their_names(
     assert len(re.findall(r"^│ eager", shown, flags=re.MULTILINE)) == 2
 
 
+@pytest.mark.slow
 def test_the_tracking_share_grows_with_what_is_kept(tiny: RunConfig, tmp_path: Path) -> None:
     """A snapshot after every iteration costs more than one a minute."""
     often = replace(tiny, tracking=replace(tiny.tracking, snapshot_period_s=1e-3))

@@ -125,6 +125,7 @@ def test_sampler_direction_and_storage_act(tmp_path: Path) -> None:
     assert (tmp_path / "elsewhere.db").exists()
 
 
+@pytest.mark.slow
 def test_trials_are_given_to_the_launcher_together(search: Search, capfd: pytest.CaptureFixture[str]) -> None:
     needs_optuna()
     assert len(set(search(RATE, "hydra.sweeper.n_trials=3", "hydra.sweeper.n_jobs=2"))) == 3
@@ -142,6 +143,7 @@ def test_a_config_can_bring_the_space(search: Search) -> None:
     assert set(trials("acktr")[0].params) > {"algorithm.learning_rate", "algorithm.kl_clip"}
 
 
+@pytest.mark.slow
 def test_failed_trials_count_and_do_not_end_the_search(search: Search) -> None:
     needs_optuna()
     values: dict[int, Any] = {1: None, 2: float("nan")}
@@ -201,6 +203,7 @@ def test_processes_share_a_study(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".optuna-*.lock"))
 
 
+@pytest.mark.slow
 def test_trials_of_one_study_are_comparable(search: Search) -> None:
     needs_optuna()
     search(RATE, "hydra.sweeper.n_trials=1")
