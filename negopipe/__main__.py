@@ -8,6 +8,7 @@ import importlib
 import json
 import logging
 import os
+import shlex
 import signal
 import sys
 import tempfile
@@ -95,7 +96,8 @@ def run_stages(composed: DictConfig) -> float | None:
     from negopipe.sweeping.objective import objective
     from negopipe.tracking.checkpoint import find_checkpoint
     from negopipe.tracking.metrics_file import read
-    from negopipe.tracking.store import METRICS_NAME, open_run
+    from negopipe.tracking.run_folder import METRICS_NAME
+    from negopipe.tracking.store import open_run
 
     config = load(composed)
     # all code is loaded now, so that what is edited during a long run does not end up in it
@@ -112,7 +114,7 @@ def run_stages(composed: DictConfig) -> float | None:
         is_fresh=config.rerun,
     )
     with opened as run:
-        log.info("run        %s", _shown(run.folder))
+        log.info("run        %s", _from_here(run.folder))
         config = backend.settle(config, run.folder)
         backend.prepare(config)
         for name, stage in zip(config.stages, stages, strict=True):
@@ -127,7 +129,7 @@ def run_stages(composed: DictConfig) -> float | None:
             run.mark_finished(name, key)
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
-            log.info("%-10s %s", label, _shown(run.folder / file_name))
+            log.info("%-10s %s", label, _from_here(run.folder / file_name))
     log.info("dashboard  make ui")
     return objective(read(run.folder / METRICS_NAME), config.objective)
 
@@ -135,7 +137,7 @@ def run_stages(composed: DictConfig) -> float | None:
 def _tags(name: str) -> dict[str, str]:
     """What the command line was, and of which sweep it is a job: runs stay flat, and a tag groups them."""
     hydra = HydraConfig.get()
-    tags = {"overrides": " ".join(hydra.overrides.task)}
+    tags = {"overrides": shlex.join(hydra.overrides.task)}
     if hydra.mode == RunMode.MULTIRUN:
         tags["sweep"] = hydra.sweeper.get("study_name", name)
     return tags
@@ -164,7 +166,7 @@ def _terminate(signum: int, frame: Any) -> None:
     raise SystemExit(128 + signum)
 
 
-def _shown(path: Path) -> Path:
+def _from_here(path: Path) -> Path:
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 

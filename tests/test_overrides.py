@@ -40,7 +40,7 @@ from negopipe.stages import behaviour_map, evaluate, oracle, report
 from negopipe.stages.setup import save_policy
 from negopipe.stages.train import Training
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
-from negopipe.tracking.store import CONFIG_NAME, HISTORY_NAME, METRICS_NAME
+from negopipe.tracking.run_folder import CONFIG_NAME, HISTORY_NAME, METRICS_NAME
 
 N_FAST, N_SLOW = 1, 5
 """Overrides per key."""

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from negopipe.tracking.metrics_file import merge_into, read
-from negopipe.tracking.store import METRICS_NAME
+from negopipe.tracking.run_folder import METRICS_NAME
 
 
 class RecordedRun:

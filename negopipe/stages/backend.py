@@ -14,6 +14,7 @@ import torch
 
 from negopipe.env import has_compiler
 from negopipe.errors import UserError
+from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -35,7 +36,7 @@ def settle(config: "RunConfig", folder: Path) -> "RunConfig":
     is_new = not path.exists()
     chosen = _choose() if is_new else json.loads(path.read_text())
     if is_new:
-        path.write_text(json.dumps(chosen, indent=2) + "\n")
+        write_whole(path, (json.dumps(chosen, indent=2) + "\n").encode())
     settled = replace(
         config,
         device=chosen["device"] if config.device == "auto" else config.device,

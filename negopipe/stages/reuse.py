@@ -10,7 +10,7 @@ import pandas as pd
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 from negopipe.tracking.metrics_file import read
 from negopipe.tracking.record import RECORD_NAME, read_record
-from negopipe.tracking.store import HISTORY_NAME, METRICS_NAME
+from negopipe.tracking.run_folder import HISTORY_NAME, METRICS_NAME
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:

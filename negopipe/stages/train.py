@@ -25,8 +25,8 @@ from negopipe.stages.interruption import AskedToStop
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, device_of, load_policy, save_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
+from negopipe.tracking.run_folder import HISTORY_NAME, SNAPSHOTS_NAME
 from negopipe.tracking.snapshots import Snapshots
-from negopipe.tracking.store import HISTORY_NAME, SNAPSHOTS_NAME
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 from negopipe.config import as_mapping
 from negopipe.stages.train import Training, save_stage
+from negopipe.tracking.run_folder import SNAPSHOTS_NAME
 from negopipe.tracking.snapshots import Snapshots
-from negopipe.tracking.store import SNAPSHOTS_NAME, TrackedRun, open_run
+from negopipe.tracking.store import TrackedRun, open_run
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig

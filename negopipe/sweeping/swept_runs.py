@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +14,16 @@ import yaml
 from negopipe.config import RESULT_NEUTRAL
 from negopipe.errors import UserError
 from negopipe.sweeping.objective import objective
+from negopipe.tracking.metrics_file import read
+from negopipe.tracking.names import flatten
+from negopipe.tracking.record import read_record
+from negopipe.tracking.run_folder import CONFIG_NAME, METRICS_NAME
 
 OBJECTIVE, SPREAD, SEEDS, STATUS, RUNS = "objective", "objective_std", "seeds", "status", "runs"
 """Columns of a table after those of the config."""
 
-_OVERRIDE_STARTS = re.compile(r"\s+(?=(?:~|\+{0,2}[\w./@:]+=))")
 _SET_ASIDE = re.compile(r"\.old\d+$")
-"""Name of what a run folder held before a run that began anew (`negopipe.tracking.store`)."""
+"""Name of what a run folder held before a run that began anew (`negopipe.tracking.run_folder`)."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class SweptRun:
 
 def read_runs(folder: Path, sweep: str | None = None) -> list[SweptRun]:
     """The runs in `outputs/<name>`, those with the tag `sweep` only where it is given; UserError if there is none."""
-    folders = [path.parent for path in sorted(folder.glob("*/config.yaml"))]
+    folders = [path.parent for path in sorted(folder.glob(f"*/{CONFIG_NAME}"))]
     runs = [_read_run(place) for place in folders if not _SET_ASIDE.search(place.name)]
     chosen = [run for run in runs if sweep in (None, run.sweep)]
     if not runs:
@@ -94,36 +98,28 @@ def _row(group: list[SweptRun], differing: list[str], keys: Sequence[str], minim
 
 
 def _read_run(folder: Path) -> SweptRun:
-    record = _json(folder / "record.json")
-    tags = {**record, **record.get("tags", {})}
+    record = read_record(folder)
+    tags = record.tags if record else {}
     return SweptRun(
         name=folder.name,
-        config=flat(yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))),
-        metrics=_json(folder / "metrics.json"),
-        finished=tuple(record.get("finished", {})),
-        overrides=_overrides(tags.get("overrides") or []),
+        config=flat(yaml.safe_load((folder / CONFIG_NAME).read_text(encoding="utf-8"))),
+        metrics=read(folder / METRICS_NAME),
+        finished=tuple(record.finished) if record else (),
+        overrides=tuple(shlex.split(tags.get("overrides", ""))),
         sweep=tags.get("sweep"),
     )
 
 
-def _overrides(recorded: str | list[str]) -> tuple[str, ...]:
-    """As a list, also of the line that a tag is; a value may have spaces."""
-    if isinstance(recorded, str):
-        recorded = [text for text in _OVERRIDE_STARTS.split(recorded.strip()) if text]
-    return tuple(recorded)
-
-
-def _json(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-
-
-def flat(tree: Any, prefix: str = "") -> dict[str, Any]:
+def flat(tree: Mapping[str, Any]) -> dict[str, Any]:
     """Nested mappings, and lists of mappings, as one mapping with dotted keys."""
+    return flatten(_numbered(tree))
+
+
+def _numbered(tree: Any) -> Any:
+    """Lists of mappings as mappings from place to item."""
     if isinstance(tree, list) and tree and all(isinstance(item, Mapping) for item in tree):
         tree = dict(enumerate(tree))
-    if not isinstance(tree, Mapping) or not tree:
-        return {prefix.removesuffix("."): tree}
-    return {key: value for name, part in tree.items() for key, value in flat(part, f"{prefix}{name}.").items()}
+    return {key: _numbered(part) for key, part in tree.items()} if isinstance(tree, Mapping) else tree
 
 
 def _text(value: Any) -> str:

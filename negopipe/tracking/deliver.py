@@ -9,8 +9,8 @@ from pathlib import Path
 
 from negopipe.errors import UserError
 from negopipe.tracking.database import connect, store_lock
+from negopipe.tracking.dead_runs import close_if_dead
 from negopipe.tracking.journal import JOURNAL_NAME
-from negopipe.tracking.store import close_if_dead
 
 
 def deliver(outputs: Path, uri: str | None) -> int:

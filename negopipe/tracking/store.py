@@ -1,7 +1,4 @@
-"""One run: its folder, what it tells the store, and how both end.
-
-A run folder belongs to one process at a time (`<folder>/.lock`). The lock also tells who is alive: a run that says
-RUNNING in the store while nobody holds its folder was left by a dead process, and the next start closes it.
+"""One run, from its beginning to its end, and what it tells the store.
 
 What a run has to tell goes to its journal first and from there to the store, so that a store which is out of reach
 stops nobody and misses nothing.
@@ -9,9 +6,6 @@ stops nobody and misses nothing.
 
 import logging
 import os
-import re
-import shutil
-import socket
 import time
 import uuid
 from collections.abc import Iterator, Mapping
@@ -21,15 +15,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import yaml
-from filelock import FileLock, Timeout
 
 from negopipe.errors import UserError
 from negopipe.schema import Label, PositiveFloat, PositiveInt, schema
 from negopipe.tracking.database import connect, database_path, store_lock
+from negopipe.tracking.dead_runs import close_dead_runs, process_tags
 from negopipe.tracking.delivery import Delivery
 from negopipe.tracking.journal import Journal
 from negopipe.tracking.metrics_file import merge_into
+from negopipe.tracking.names import cleaned, flatten
 from negopipe.tracking.record import RunRecord, read_record, write_record
+from negopipe.tracking.run_folder import CHECKPOINTS_NAME, CONFIG_NAME, METRICS_NAME, hold, keep, set_aside
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -37,16 +33,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
-METRICS_NAME = "metrics.json"
-HISTORY_NAME = "history.csv"
-SNAPSHOTS_NAME = "snapshots"
-"""Folder of a run in which an unfinished training is kept."""
-CHECKPOINTS_NAME = "checkpoints"
-"""... and that of the checkpoints which the store is given, a folder per step."""
-CONFIG_NAME = "config.yaml"
-LOCK_NAME = ".lock"
-
-HOST_TAG, FOLDER_TAG, PID_TAG = "host", "folder", "pid"
 _PARAM_CHARACTERS = 6000
 _PAUSE_PER_TRY = 20
 """A store that is out of reach is tried again after so many times as long as the last try took: waiting for an
@@ -103,10 +89,10 @@ def open_run(
     folder = outputs / config.name / run_name
     accepted = None if takes_any_code else source
     with store_lock(outputs):  # folders change hands only here, so looking for dead runs disturbs nobody
-        lock = _hold(folder)
+        lock = hold(folder)
         record = None if is_fresh else _continued(read_record(folder), accepted)
-        if record is None and _set_aside(folder, lock):
-            lock = _hold(folder)
+        if record is None and set_aside(folder, lock):
+            lock = hold(folder)
     try:
         if record is None:
             record = RunRecord(uuid.uuid4().hex, source)
@@ -131,7 +117,6 @@ class TrackedRun:
     """One run: its folder and what the store is told of it.
 
     folder: absolute path, created
-    outputs: the outputs folder, absolute
     accepted: hash of the code whose finished stages count; None = any
     """
 
@@ -139,10 +124,10 @@ class TrackedRun:
         self, config: StoreConfig, folder: Path, record: RunRecord, resolved: dict[str, Any], accepted: str | None
     ) -> None:
         self.folder, self.accepted = folder, accepted
-        self.tracking, self._record, self._resolved = config.tracking, record, resolved
-        self.outputs = Path(config.outputs).absolute()
+        self._tracking, self._record, self._resolved = config.tracking, record, resolved
+        self._outputs = Path(config.outputs).absolute()
         self._journal = Journal(folder)
-        self._delivery = Delivery(folder, self._journal, self.outputs, config.tracking.uri)
+        self._delivery = Delivery(folder, self._journal, self._outputs, config.tracking.uri)
         self._last_step = _last_steps(self._journal)
         self._client: MlflowClient | None = None
         self._has_begun = self._is_out_of_reach = False
@@ -164,9 +149,9 @@ class TrackedRun:
         except OSError as error:
             self._say_out_of_reach(error)
         write_record(self.folder, self._record)
-        tags = {**self._record.tags, **_process_tags(self.folder)}
-        experiment, key = self.tracking.experiment, self._record.key
-        self._journal.append("begin", experiment=experiment, run_name=self.folder.name, key=key, tags=_cleaned(tags))
+        tags = {**self._record.tags, **process_tags(self.folder)}
+        experiment, key = self._tracking.experiment, self._record.key
+        self._journal.append("begin", experiment=experiment, run_name=self.folder.name, key=key, tags=cleaned(tags))
         self._has_begun = True
         self._log_config()
         self.deliver()
@@ -175,7 +160,7 @@ class TrackedRun:
         """The full config: a file in the folder, an artifact and, flattened, the run's parameters."""
         text = yaml.safe_dump(self._resolved, sort_keys=False, allow_unicode=True)
         write_whole(self.folder / CONFIG_NAME, text.encode())
-        params = {clean_name(key): str(value)[:_PARAM_CHARACTERS] for key, value in flatten(self._resolved).items()}
+        params = cleaned({key: str(value)[:_PARAM_CHARACTERS] for key, value in flatten(self._resolved).items()})
         self._journal.append("artifact", path=CONFIG_NAME, folder="")
         self._journal.append("params", values=params)
 
@@ -197,13 +182,13 @@ class TrackedRun:
 
         What an earlier process of this run has logged is not logged twice.
         """
-        values = {clean_name(key): float(value) for key, value in metrics.items()}
+        values = cleaned({key: float(value) for key, value in metrics.items()})
         new = {key: value for key, value in values.items() if step > self._last_step.get(key, -1)}
         if new:
             self._logged = (step, self._tell("metrics", step=step, values=new))
         self._n_waiting += len(new)
-        is_late = time.monotonic() - self._sent_s >= self.tracking.flush_period_s
-        if is_late or self._n_waiting >= self.tracking.n_metrics_per_flush:
+        is_late = time.monotonic() - self._sent_s >= self._tracking.flush_period_s
+        if is_late or self._n_waiting >= self._tracking.n_metrics_per_flush:
             self.deliver()
 
     def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
@@ -218,9 +203,9 @@ class TrackedRun:
         the store can be given it at any time.
         """
         kept = self.folder / CHECKPOINTS_NAME / f"step_{step}" / path.name
-        _keep(path, kept)
-        values = {clean_name(key): float(value) for key, value in metrics.items()}
-        name, place = self.tracking.registered_model, str(kept.relative_to(self.folder))
+        keep(path, kept)
+        values = cleaned({key: float(value) for key, value in metrics.items()})
+        name, place = self._tracking.registered_model, str(kept.relative_to(self.folder))
         logged_step, logged_ms = self._logged
         # the same metric at the same time is one, whether it is logged for the run or for the checkpoint
         time_ms = logged_ms if step == logged_step else None
@@ -240,7 +225,7 @@ class TrackedRun:
         self.set_tags({"mlflow.note.content": markdown})
 
     def set_tags(self, tags: Mapping[str, str]) -> None:
-        self._tell("tags", values=_cleaned(tags))
+        self._tell("tags", values=cleaned(tags))
         self.deliver()
 
     def _tell(self, kind: str, time_ms: int | None = None, **content: Any) -> int:
@@ -276,14 +261,14 @@ class TrackedRun:
             self._next_try_s = 0.0
             self.deliver()
         if not self._delivery.is_complete:
-            later = f"the same command sends it, or python -m negopipe.tracking.deliver {self.outputs}"
+            later = f"the same command sends it, or python -m negopipe.tracking.deliver {self._outputs}"
             log.warning(f"store      has not been given all of {self.folder.name}: {later}")
 
     def _connect(self) -> "MlflowClient":
-        with store_lock(self.outputs):
-            client = connect(self.outputs, self.tracking.uri)
+        with store_lock(self._outputs):
+            client = connect(self._outputs, self._tracking.uri)
             try:
-                _close_dead_runs(client, self)
+                close_dead_runs(client, self._delivery)
             except _unreachable() as error:
                 self._say_out_of_reach(error)
         self._client = client
@@ -299,39 +284,6 @@ class TrackedRun:
         if self._is_out_of_reach:
             log.info("store      is in reach, what waited has been sent")
         self._is_out_of_reach = False
-
-
-def clean_name(name: str) -> str:
-    """A name that MLflow takes: no `= [ ] @ %`, no empty and no `..` path parts."""
-    parts = re.sub(r"[^\w\-. :/]", "_", name).split("/")
-    return "/".join(part for part in parts if part not in ("", ".", ".."))
-
-
-def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """`{"a": {"b": 1}}` as `{"a.b": 1}`; lists stay whole."""
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        is_branch = isinstance(value, Mapping) and value
-        flat |= flatten(value, f"{prefix}{key}.") if is_branch else {f"{prefix}{key}": value}
-    return flat
-
-
-def close_if_dead(folder: Path, outputs: Path, uri: str | None, client: "MlflowClient") -> Delivery | None:
-    """Tell a store the rest of a run, and that it was KILLED if it did not end; None if a process works on it.
-
-    Raises MlflowException or OSError where the store is out of reach.
-    """
-    try:
-        with FileLock(folder / LOCK_NAME, blocking=False):
-            journal = Journal(folder)
-            kinds = [entry["kind"] for _, entry in journal.after(0) if entry["kind"] in ("begin", "end")]
-            if kinds and kinds[-1] == "begin":
-                journal.append("end", status="KILLED")
-            delivery = Delivery(folder, journal, outputs, uri)
-            delivery.deliver(client)
-            return delivery
-    except Timeout:
-        return None
 
 
 @contextmanager
@@ -355,45 +307,12 @@ def _close_failed(run: TrackedRun) -> None:
         log.warning(f"run        cannot be closed: {error}")
 
 
-def _hold(folder: Path) -> FileLock:
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / LOCK_NAME, blocking=False)
-    try:
-        lock.acquire()
-    except Timeout as error:
-        hint = "wait for it or change seed, name or outputs"
-        raise UserError(f"the run folder {folder} is in use by another process: {hint}") from error
-    return lock
-
-
 def _continued(record: RunRecord | None, accepted: str | None) -> RunRecord | None:
     """The record of a run to go on with, if there is one."""
     if record is not None and accepted not in (None, record.source):
         log.info("run        begins anew: other code made what is there (reuse=any_code takes it all the same)")
         return None
     return record
-
-
-def _set_aside(folder: Path, lock: FileLock) -> bool:
-    """Make room for another run: what is in the folder goes to `<folder>.old<n>`; False if there is nothing."""
-    if {path.name for path in folder.iterdir()} <= {LOCK_NAME}:
-        return False
-    lock.release()
-    places = (folder.with_name(f"{folder.name}.old{n}") for n in range(1, 10_000))
-    place = next(path for path in places if not path.exists())
-    folder.rename(place)
-    log.info(f"run        {place.name} keeps what was there")
-    return True
-
-
-def _keep(path: Path, kept: Path) -> None:
-    """A second name for a file that is replaced as a whole when it changes, or else a copy."""
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    kept.unlink(missing_ok=True)
-    try:
-        os.link(path, kept)
-    except OSError:  # a file system that knows no links
-        shutil.copyfile(path, kept)
 
 
 def _last_steps(journal: Journal) -> dict[str, int]:
@@ -405,32 +324,9 @@ def _last_steps(journal: Journal) -> dict[str, int]:
     return last
 
 
-def _cleaned(tags: Mapping[str, str]) -> dict[str, str]:
-    return {clean_name(key): value for key, value in tags.items()}
-
-
-def _process_tags(folder: Path) -> dict[str, str]:
-    return {HOST_TAG: socket.gethostname(), PID_TAG: str(os.getpid()), FOLDER_TAG: str(folder)}
-
-
 def _unreachable() -> tuple[type[Exception], ...]:
     """What is raised where a store or its server is gone for a while."""
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
 
     return MlflowException, SQLAlchemyError, OSError, UserError
-
-
-def _close_dead_runs(client: "MlflowClient", run: TrackedRun) -> None:
-    """Mark as KILLED what says RUNNING on this host while no process holds its folder."""
-    experiments = [experiment.experiment_id for experiment in client.search_experiments()]
-    is_ours = f"attributes.status = 'RUNNING' and tags.{HOST_TAG} = '{socket.gethostname()}'"
-    for found in client.search_runs(experiments, is_ours):
-        run_id, folder = found.info.run_id, Path(found.data.tags[FOLDER_TAG])
-        if run_id == run.run_id:
-            continue
-        if folder != run.folder and folder.exists():
-            delivery = close_if_dead(folder, run.outputs, run.tracking.uri, client)
-            if delivery is None or delivery.done.run_id == run_id:
-                continue
-        client.set_terminated(run_id, "KILLED")

@@ -12,15 +12,16 @@ import yaml
 from negopipe.sweeping.parallel_coordinates import parallel_coordinates
 from negopipe.sweeping.summary import main
 from negopipe.sweeping.swept_runs import differing_keys, flat, read_runs, tabulate
+from negopipe.tracking.record import RunRecord, write_record
 
 KEYS = ["evaluation.push.adaptive.reward", "evaluation.yield.adaptive.reward"]
 
 
 def make_run(outputs: Path, seed: int, rate: float, reward: float | None, /, **changes: Any) -> Path:
-    """A run folder; `changes` are of the config, `record` and `stages` of what is finished."""
-    record = {"tags": {"overrides": f"+experiment=yield algorithm.rate={rate} seed={seed}", "sweep": "rates"}}
-    record |= changes.pop("record", {})
-    record["finished"] = {stage: {} for stage in changes.pop("finished", ["train", "evaluate"])}
+    """A run folder; `changes` are of the config, but for `tags` and `finished` of the record."""
+    tags = {"overrides": f"+experiment=yield algorithm.rate={rate} seed={seed}", "sweep": "rates"}
+    tags = changes.pop("tags", tags)
+    finished = {stage: {"config": "c", "source": "s"} for stage in changes.pop("finished", ["train", "evaluate"])}
     config = {
         "name": "yield",
         "seed": seed,
@@ -32,7 +33,7 @@ def make_run(outputs: Path, seed: int, rate: float, reward: float | None, /, **c
     folder = outputs / "yield" / f"seed{seed}-{rate}-{len(list(outputs.glob('yield/*')))}"
     folder.mkdir(parents=True)
     (folder / "config.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
-    (folder / "record.json").write_text(json.dumps(record), encoding="utf-8")
+    write_record(folder, RunRecord("key", "s", tags, finished))
     metrics = {"evaluation": {setting: {"adaptive": {"reward": reward}} for setting in ("push", "yield")}}
     (folder / "metrics.json").write_text(json.dumps(metrics), encoding="utf-8")
     return folder
@@ -100,9 +101,7 @@ def test_a_command_writes_table_and_figure_and_prints_what_to_paste(
 
 
 def test_another_objective_and_one_sweep_only(outputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    make_run(
-        outputs, 1, 0.7, -1.0, record={"tags": {"sweep": "other", "overrides": ["name=a b", "algorithm.rate=0.7"]}}
-    )
+    make_run(outputs, 1, 0.7, -1.0, tags={"sweep": "other", "overrides": "'name=a b' algorithm.rate=0.7"})
     assert main([str(outputs / "yield"), "--sweep", "other", "--objective", KEYS[0]]) == 0
     assert "  python -m negopipe 'name=a b' algorithm.rate=0.7\n" in capsys.readouterr().out
     assert (outputs / "sweeps" / "other" / "summary.csv").exists()
@@ -114,7 +113,7 @@ def test_another_objective_and_one_sweep_only(outputs: Path, capsys: pytest.Capt
 def test_overrides_that_are_not_recorded_are_made_of_what_differs(
     outputs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    make_run(outputs, 1, 0.7, -1.0, record={"tags": {}}, reward={"kind": "strict", "list": [1, 2]})
+    make_run(outputs, 1, 0.7, -1.0, tags={}, reward={"kind": "strict", "list": [1, 2]})
     assert main([str(outputs / "yield")]) == 0
     expected = "  python -m negopipe algorithm.rate=0.7 reward.kind=strict 'reward.list=[1, 2]'\n"
     assert expected in capsys.readouterr().out

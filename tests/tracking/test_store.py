@@ -17,7 +17,8 @@ from mlflow.entities import Run
 
 from negopipe.errors import UserError
 from negopipe.tracking.dashboard import chart_addresses
-from negopipe.tracking.store import StoreConfig, TrackedRun, clean_name, find_store, flatten
+from negopipe.tracking.names import clean_name, flatten
+from negopipe.tracking.store import StoreConfig, TrackedRun, find_store
 from negopipe.tracking.store import open_run as open_run_lazily
 
 
