@@ -8,7 +8,7 @@ from negopipe.config import RunConfig
 from negopipe.simulation.scenario import FamilyConfig, TaskSampler
 from negopipe.simulation.state import Task, VehicleState, World, map_tensors
 
-MIXTURE = {"mixture": FamilyConfig(1.0, (11.99, 18.80), [0.0, 2.0, 4.0, 6.0], None)}
+MIXTURE = {"mixture": FamilyConfig(1.0, (11.99, 18.80), [], [0.0, 2.0, 4.0, 6.0], None)}
 
 
 def place(world: World, vehicles: VehicleState) -> World:

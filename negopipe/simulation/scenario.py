@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple
 
 import torch
@@ -52,14 +53,37 @@ class FamilyConfig:
 
     weight: share of the family among the tasks drawn, relative to the other families
     start_distance_m: uniform interval, of the first social vehicle to its mouth of the corridor
+    gaps_m: intervals between whose ends no start distance is drawn, ascending; the rest stays uniform
     style_horizon_s: styles of the social vehicles, each equally likely
     style_switch: null = a vehicle keeps its style
     """
 
     weight: PositiveFloat
     start_distance_m: Interval
+    gaps_m: list[Interval]
     style_horizon_s: Styles
     style_switch: StyleSwitchConfig | None
+
+    @model_validator(mode="after")
+    def _leaves_a_distance(self) -> "FamilyConfig":
+        low, high = self.start_distance_m
+        for gap in self.gaps_m:
+            if gap[0] < low or gap[1] > high:
+                raise ValueError(f"gaps_m must lie within start_distance_m = {[low, high]}, got {list(gap)}")
+        for gap, following in pairwise(self.gaps_m):
+            if gap[1] > following[0]:
+                raise ValueError(f"gaps_m must be ascending and disjoint, got {list(following)} after {list(gap)}")
+        if self.gaps_m and not self.pieces_m:
+            got = ", ".join(str(list(gap)) for gap in self.gaps_m)
+            raise ValueError(f"gaps_m must leave some of start_distance_m = {[low, high]}, got {got}")
+        return self
+
+    @property
+    def pieces_m(self) -> list[tuple[float, float]]:
+        """What the gaps leave of the start distances: intervals that are longer than 0, ascending."""
+        low, high = self.start_distance_m
+        ends = [low, *(end for gap in self.gaps_m for end in gap), high]
+        return [piece for piece in zip(ends[::2], ends[1::2], strict=True) if piece[0] < piece[1]]
 
 
 Families = dict[FileName, FamilyConfig]
@@ -99,16 +123,22 @@ def pair_styles(families: Families, pairing: str) -> Families:
     return {**families, **swapped}
 
 
+NEVER = (math.inf, math.inf)
+"""An interval that nothing comes to."""
+
+
 class _Tables(NamedTuple):
     """What F families draw from, by the index of the family.
 
     until: [F] float32, cumulative shares of the families
     distance, switch_time, patience: [F, 2] float32, intervals; m, s, s; (inf, inf) for never
+    gaps: [F, G, 2] float32, m, inside `distance`, ascending; filled up with (inf, inf)
     styles, next_styles: [F, K] float32, s, filled up; n_styles, n_next_styles: [F], how many of them count
     """
 
     until: Tensor
     distance: Tensor
+    gaps: Tensor
     switch_time: Tensor
     patience: Tensor
     styles: Tensor
@@ -141,7 +171,7 @@ class TaskSampler:
         which, noise, ego, first, start, desired, style, next_style, switch, patience = chances.split(widths, dim=1)
         family = torch.searchsorted(tables.until, which[:, 0].contiguous(), right=True).clamp(max=len(tables.until) - 1)
         behind = torch.arange(n_social, device=family.device) * scenario.social_spacing_m
-        social = _between_each(tables.distance[family], first) + behind
+        social = _outside(tables.gaps[family], tables.distance[family], first) + behind
         direction = -torch.ones(n, n_vehicles, device=family.device)
         direction[:, EGO] = 1
         return Task(
@@ -161,22 +191,31 @@ class TaskSampler:
 
 
 def _tabulate(families: list[FamilyConfig], device: torch.device) -> _Tables:
-    never = (math.inf, math.inf)
     switches = [family.style_switch for family in families]
+    pieces = [family.pieces_m or [family.start_distance_m] for family in families]
     weights = torch.tensor([family.weight for family in families], dtype=torch.float64)
     styles, n_styles = _filled_up([family.style_horizon_s for family in families])
     next_styles, n_next_styles = _filled_up([s.style_horizon_s if s else [math.nan] for s in switches])
     tables = _Tables(
         until=(weights.cumsum(0) / weights.sum()).float(),
-        distance=torch.tensor([family.start_distance_m for family in families]),
-        switch_time=torch.tensor([(s and s.at_s) or never for s in switches]),
-        patience=torch.tensor([(s and s.stuck_s) or never for s in switches]),
+        distance=torch.tensor([(each[0][0], each[-1][1]) for each in pieces]),
+        gaps=_gaps_between(pieces),
+        switch_time=torch.tensor([(s and s.at_s) or NEVER for s in switches]),
+        patience=torch.tensor([(s and s.stuck_s) or NEVER for s in switches]),
         styles=styles,
         n_styles=n_styles,
         next_styles=next_styles,
         n_next_styles=n_next_styles,
     )
     return _Tables(*(field.to(device) for field in tables))
+
+
+def _gaps_between(pieces: list[list[tuple[float, float]]]) -> Tensor:
+    """[F, G, 2] float32. A gap at an end of the start distances only moves that end, so none of it lies between."""
+    gaps = [[(before[1], behind[0]) for before, behind in pairwise(each)] for each in pieces]
+    longest = max(map(len, gaps))
+    filled = [each + [NEVER] * (longest - len(each)) for each in gaps]
+    return torch.tensor(filled).reshape(len(gaps), longest, 2)
 
 
 def _filled_up(rows: list[list[float]]) -> tuple[Tensor, Tensor]:
@@ -202,6 +241,21 @@ def _between_each(intervals: Tensor, chance: Tensor) -> Tensor:
     """[n, V] float32 from the rows' intervals [n, 2]; one at infinity gives infinity."""
     low, high = intervals[:, :1], intervals[:, 1:]
     return torch.where(low.isinf(), low, low + (high - low) * chance)
+
+
+def _outside(gaps: Tensor, intervals: Tensor, chance: Tensor) -> Tensor:
+    """[n, V] float32 from the rows' intervals [n, 2] without their gaps [n, G, 2].
+
+    What is drawn of the interval less the gaps' lengths moves up by every gap that it has reached. The bounds
+    take what float32 rounds: into a gap, or past the interval's end.
+    """
+    low, high = intervals[:, :1], intervals[:, 1:]
+    length = high - low - gaps.diff(dim=-1).nan_to_num(nan=0.0).sum(dim=1)  # nan: inf - inf, of those filled up
+    distance = low + length * chance
+    for gap in gaps.unbind(dim=1):
+        start, end = gap.split(1, dim=1)
+        distance = torch.where(distance >= start, (distance + (end - start)).maximum(end), distance)
+    return distance.clamp(low, high)
 
 
 def _with_ego(ego: float, social: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
 """The behaviour map: every fixed horizon of the ego against every style of the social driver, on the same tasks."""
 
 import logging
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -14,7 +15,7 @@ from negopipe.evaluation.trace import Trace
 from negopipe.report.behaviour_map import behaviour_map, reading
 from negopipe.report.figures import render
 from negopipe.seeding import generator
-from negopipe.simulation.scenario import FamilyConfig, TaskSampler
+from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import Task
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import device_of
@@ -60,7 +61,7 @@ def map_tasks(config: "RunConfig", game: Game, setting: str, style_s: float) -> 
     """The setting's held-out tasks, all social drivers in one style; the starts are the same for every style."""
     stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
     family = config.scenario.families[setting]
-    in_one_style = FamilyConfig(family.weight, family.start_distance_m, [style_s], style_switch=None)
+    in_one_style = replace(family, style_horizon_s=[style_s], style_switch=None)
     return TaskSampler(config.scenario, {setting: in_one_style}, stream).draw(config.behaviour_map.n_episodes)
 
 
