@@ -20,7 +20,9 @@ from negopipe.evaluation.oracle import OracleConfig
 from negopipe.evaluation.planners import fixed_name
 from negopipe.evaluation.speed import BenchmarkConfig
 from negopipe.learning.acktr import AcktrConfig
+from negopipe.learning.acktr_adam import AcktrAdamConfig
 from negopipe.learning.curriculum import CurriculumConfig
+from negopipe.learning.learner import AlgorithmConfig
 from negopipe.observation.occupancy_grid import ObservationConfig
 from negopipe.planner.frenet import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
@@ -93,7 +95,7 @@ class RunConfig:
     observation: ObservationConfig
     reward: RewardConfig
     policy: PolicyConfig
-    algorithm: AcktrConfig
+    algorithm: AlgorithmConfig
     curriculum: CurriculumConfig
     evaluation: EvaluationConfig
     behaviour_map: BehaviourMapConfig
@@ -275,16 +277,18 @@ def _network_needs(config: RunConfig) -> Iterator[_Need]:
     fans = [(c * conv.kernel**2, conv.channels) for c, conv in zip(channels, policy.conv, strict=False)]
     fans += [(channels[-1] * sides[-1] ** 2, policy.encoder_width), *2 * list(pairwise(heads))]
     n_weights = sum(n_in * n_out for n_in, n_out in fans)
-    n_factors = sum(n_in * min(n_in, learner.kfac.max_factor_size) + n_out**2 for n_in, n_out in fans)
     cells = [c * side**2 for c, side in zip(channels, sides, strict=True)]
     n_samples = min(learner.minibatch_size, learner.n_worlds * learner.n_steps)
-    n_patches = max((fan[0] * side**2 for fan, side in zip(fans, sides[1:], strict=False)), default=0)
-    patches = min(learner.kfac.n_statistics, n_samples) * n_patches
     widths = "policy.encoder_width policy.head_widths policy.conv observation.n_cells observation.n_frames"
     layers = "".join(f" policy.conv.{index}.channels" for index in range(len(policy.conv)))
     yield _Need("the network", n_weights * FLOAT_BYTES * N_TEMPORARIES, widths + layers)
-    factors = "algorithm.kfac.max_factor_size policy.encoder_width policy.head_widths observation.n_cells"
-    yield _Need("the network's factors", n_factors * FLOAT_BYTES * N_TEMPORARIES, factors + layers)
+    patches = 0
+    if isinstance(learner, AcktrConfig | AcktrAdamConfig):
+        n_factors = sum(n_in * min(n_in, learner.kfac.max_factor_size) + n_out**2 for n_in, n_out in fans)
+        factors = "algorithm.kfac.max_factor_size policy.encoder_width policy.head_widths observation.n_cells"
+        yield _Need("the network's factors", n_factors * FLOAT_BYTES * N_TEMPORARIES, factors + layers)
+        n_patches = max((fan[0] * side**2 for fan, side in zip(fans, sides[1:], strict=False)), default=0)
+        patches = min(learner.kfac.n_statistics, n_samples) * n_patches
     batch = "algorithm.minibatch_size algorithm.n_worlds algorithm.n_steps observation.n_cells observation.n_frames"
     yield _Need("a minibatch", (n_samples * sum(cells) + patches) * FLOAT_BYTES * 4, batch + layers)
 

@@ -28,8 +28,9 @@ from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Generator, Tensor, nn
 
+from negopipe.policy.actor_critic import ActorCritic, sample_action
 from negopipe.schema import Fraction, PositiveFloat, PositiveInt, schema
 
 Layer = nn.Linear | nn.Conv2d
@@ -81,14 +82,14 @@ class Kfac:
         self.n_statistics_taken = 0
         self.n_failures = 0
 
-    def refresh(self, fisher_loss: Callable[[], Tensor]) -> None:
+    def refresh(self, fisher_loss: Callable[[int], Tensor]) -> None:
         """Once per update: take statistics and invert, where the schedule says so.
 
         fisher_loss: runs the network on N samples and returns -sum_N log-likelihood of targets that are
             sampled from the network's own output (not the data's: that would be the empirical Fisher)
         """
         if self.n_updates % self.config.statistics_interval == 0:
-            self._take_statistics(fisher_loss)
+            self._take_statistics(lambda: fisher_loss(self.config.n_statistics))
         if self.n_updates % self.config.inverse_interval == 0 or not self.inverses:
             self._invert()
         self.n_updates += 1
@@ -96,6 +97,15 @@ class Kfac:
     def natural_gradient(self, gradient: dict[str, Tensor]) -> dict[str, Tensor]:
         """v = F_hat^-1 g of every layer, [m, n] float32."""
         return {name: precondition(g, self.inverses[name]) for name, g in gradient.items()}
+
+    def gradient(self) -> dict[str, Tensor]:
+        """g of every layer, [m, n] float32, from what a backward pass left at the weights."""
+        return {name: layer_gradient(layer) for name, layer in self.layers.items()}
+
+    def set_gradient(self, gradient: dict[str, Tensor]) -> None:
+        """Put g [m, n] of every layer where a backward pass leaves it."""
+        for name, layer in self.layers.items():
+            set_layer_gradient(layer, gradient[name])
 
     @property
     def is_ready(self) -> bool:
@@ -149,6 +159,19 @@ class Kfac:
                 self.n_failures += 1
                 inverse = self.inverses.get(name, _identity(factors))
             self.inverses[name] = inverse
+
+
+def fisher_loss(policy: ActorCritic, observation: Tensor, generator: Generator) -> Tensor:
+    """-sum log-likelihood of targets drawn from the network's own output, whose gradients make up F.
+
+    Actions are drawn from pi; the normalised value is the mean of a unit Gaussian.
+    """
+    logits, value = policy(observation)
+    action = sample_action(logits.detach(), generator)
+    noise = torch.randn(value.shape, generator=generator, device=value.device)
+    target = value.detach() + policy.value_std * noise
+    log_likelihood = -0.5 * ((target - value) / policy.value_std).square()
+    return -(log_likelihood + logits.log_softmax(-1).gather(1, action[:, None]).squeeze(1)).sum()
 
 
 def kfac_layers(network: nn.Module) -> dict[str, Layer]:
@@ -238,6 +261,12 @@ def layer_gradient(layer: Layer) -> Tensor:
     return torch.cat([weight.flatten(1), bias[:, None]], dim=1)  # type: ignore[union-attr,index]
 
 
+def set_layer_gradient(layer: Layer, gradient: Tensor) -> None:
+    """The inverse of `layer_gradient`."""
+    layer.weight.grad.copy_(gradient[:, :-1].reshape(layer.weight.shape))  # type: ignore[union-attr]
+    layer.bias.grad.copy_(gradient[:, -1])  # type: ignore[union-attr]
+
+
 @torch.no_grad()
 def add_to_layer(layer: Layer, step: Tensor) -> None:
     """Add step [m, n] to the layer's weight and bias."""
@@ -255,9 +284,11 @@ def _to_blocks(x: Tensor, max_size: int) -> Tensor:
 
 def _inverse(factor: Tensor, damping: Tensor) -> Tensor:
     """Inverse of factor + damping I, [.., b, b]; NaN where it is not positive definite."""
-    damped = factor + damping * torch.eye(factor.shape[-1], device=factor.device)
-    root, info = torch.linalg.cholesky_ex(damped)
-    return torch.where((info == 0)[..., None, None], torch.cholesky_inverse(root), torch.nan).contiguous()
+    eye = torch.eye(factor.shape[-1], device=factor.device)
+    root, info = torch.linalg.cholesky_ex(factor + damping * eye)
+    is_definite = (info == 0)[..., None, None]
+    inverse = torch.cholesky_inverse(torch.where(is_definite, root, eye))  # which raises where a root is singular
+    return torch.where(is_definite, inverse, torch.nan).contiguous()
 
 
 def _identity(factors: Factors) -> Factors:

@@ -53,6 +53,7 @@ class Rollout:
 
     observation: [T, E, *obs] in the environment's dtype, s_t
     action: [T, E] int64, a_t
+    log_prob: [T, E] float32, log pi(a_t|s_t)
     reward, value: [T, E] float32, r_t and V(s_t)
     is_terminated, is_truncated: [T, E] bool
     final_value: [T, E] float32, value of the final observation where truncated, else 0
@@ -64,6 +65,7 @@ class Rollout:
 
     observation: Tensor
     action: Tensor
+    log_prob: Tensor
     reward: Tensor
     value: Tensor
     is_terminated: Tensor
@@ -74,6 +76,11 @@ class Rollout:
     episode_steps: Tensor
     is_success: Tensor
     is_collision: Tensor
+
+    @property
+    def is_done(self) -> Tensor:
+        """[T, E] bool, an episode ended with step t."""
+        return self.is_terminated | self.is_truncated
 
 
 @dataclass(frozen=True)
@@ -109,6 +116,7 @@ def collect(
         steps.append(
             {
                 "action": action,
+                "log_prob": logits.log_softmax(-1).gather(1, action[:, None]).squeeze(1),
                 "reward": transition.reward,
                 "value": value,
                 "is_terminated": transition.is_terminated,

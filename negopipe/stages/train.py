@@ -15,7 +15,8 @@ from torch import Tensor, nn
 
 from negopipe.env import NegotiationEnv
 from negopipe.errors import UserError
-from negopipe.learning.acktr import Acktr
+from negopipe.learning.curriculum import Curriculum
+from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
 from negopipe.nested import put_under, take_from
 from negopipe.seeding import generator
@@ -74,6 +75,7 @@ class Training:
     """Algorithm 1, one iteration at a time; its state can be taken and put back between iterations.
 
     n_total, n_done: iterations of all stages together
+    is_at_stage_end: the iteration just done was the last of its stage
     """
 
     def __init__(self, config: "RunConfig") -> None:
@@ -81,40 +83,37 @@ class Training:
         game, self.policy = build(config)
         if config.checkpoint is not None:
             load_policy(find_checkpoint(config.checkpoint, config), self.policy, config)
-        self.learner = Acktr(self.policy, algorithm, generator(config.seed, "updates", device))
+        self.learner = Learner(self.policy, algorithm, generator(config.seed, "updates", device))
         tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
         self.n_steps = algorithm.n_steps
-        self._stages = config.curriculum.stages
-        self._samplers = [TaskSampler(config.scenario, stage.families, tasks) for stage in self._stages]
-        self._stage_of = [index for index, stage in enumerate(self._stages) for _ in range(stage.n_iterations)]
+        self.curriculum = Curriculum(config.curriculum)
+        self._samplers = [TaskSampler(config.scenario, stage.families, tasks) for stage in config.curriculum.stages]
         horizons_s = config.policy.horizons_s
         self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds)
         self.running = RunningEpisodes.start(algorithm.n_worlds, device)
         self.weights_before = _copy(self.policy)
+        self.is_at_stage_end = False
         self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)
 
     @property
     def n_total(self) -> int:
-        return len(self._stage_of)
+        return self.curriculum.n_total
 
     @property
     def n_done(self) -> int:
         return len(self.curve)
 
-    @property
-    def is_at_stage_end(self) -> bool:
-        """The iteration just done was the last of its stage."""
-        n = self.n_done
-        return n == self.n_total or self._stage_of[n] != self._stage_of[n - 1]
-
     def iterate(self) -> dict:
         """Collect, update; returns the iteration's row of the learning curve."""
-        stage = self._stage_of[self.n_done]  # (K, D) of Algorithm 1
-        self.env.sampler = self._samplers[stage]  # T ~ D, a new one per episode
+        stage = self.curriculum.stage  # (K, D) of Algorithm 1
+        self.env.sampler = self._samplers[self.curriculum.index]  # T ~ D, a new one per episode
         self.weights_before = _copy(self.policy)
         rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
         metrics = self.learner.update(rollout, self.n_done / self.n_total)
-        return self.curve.add(self._stages[stage].name, rollout, metrics)
+        row = self.curve.add(stage.name, rollout, metrics)
+        is_over = self.curriculum.count(rollout.is_success[rollout.is_done].tolist())
+        self.is_at_stage_end = is_over or self.n_done == self.n_total
+        return row
 
     def not_finite(self) -> list[str]:
         """Measures of the last update and weights that have become NaN or infinite."""
@@ -131,20 +130,22 @@ class Training:
             | put_under("running", named_tensors(self.running))
             | {"actions": self.actions.get_state()}
         )
-        snapshots.save(self.n_done, state, self.curve.state_dict())
+        progress = {"curve": self.curve.state_dict(), "curriculum": self.curriculum.state_dict()}
+        snapshots.save(self.n_done, state, progress)
 
     def go_on_from(self, snapshots: Snapshots) -> None:
         """Put the newest snapshot back, if there is one."""
         newest = snapshots.newest()
         if newest is None:
             return
-        state, curve = newest
+        state, progress = newest
         self.policy.load_state_dict(take_from("policy", state))
         self.learner.load_state_dict(take_from("learner", state))
         self.env.load_state_dict(take_from("env", state))
         self.running = with_tensors(self.running, take_from("running", state))
         self.actions.set_state(state["actions"])
-        self.curve.load_state_dict(curve)
+        self.curve.load_state_dict(progress["curve"])
+        self.curriculum.load_state_dict(progress["curriculum"])
         log.info(f"train      goes on after {self.n_done} of {self.n_total} iterations")
 
 
@@ -167,9 +168,8 @@ class LearningCurve:
 
     def add(self, stage: str, rollout: Rollout, metrics: dict[str, float]) -> dict:
         """Append an iteration; returns its row. Means over episodes are NaN until one has ended."""
-        is_done = rollout.is_terminated | rollout.is_truncated
         ended = (rollout.episode_return, rollout.is_success, rollout.is_collision)
-        self._recent.extend(zip(*(field[is_done].tolist() for field in ended), strict=True))
+        self._recent.extend(zip(*(field[rollout.is_done].tolist() for field in ended), strict=True))
         returns, successes, collisions = torch.tensor(list(self._recent)).reshape(-1, 3).mean(0).tolist()
         now_s = time.monotonic()
         row = {
@@ -249,7 +249,7 @@ def _stop_at_last_good(config: "RunConfig", run: "TrackedRun", training: Trainin
     training.policy.load_state_dict(training.weights_before)
     save_policy(path, training.policy, config, (training.n_done - 1) * training.curve.n_per_iteration)
     raise UserError(
-        f"algorithm.learning_rate = {config.algorithm.learning_rate} or another value of algorithm or reward makes "
+        f"algorithm={config.algorithm.kind} with these values of algorithm and reward makes "
         f"training diverge: {wrong} is not finite after iteration {training.n_done} of {training.n_total}; the "
         f"policy before it is kept in {path}"
     )

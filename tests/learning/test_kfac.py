@@ -110,7 +110,7 @@ def test_factors_are_averaged_with_the_decay_after_a_plain_start() -> None:
     kfac = Kfac(network, CONFIG)
     x = [randn(64, 3), 2 * randn(64, 3), 3 * randn(64, 3)]
     for batch in x:
-        kfac.refresh(lambda batch=batch: network(batch).square().sum())
+        kfac.refresh(lambda _, batch=batch: network(batch).square().sum())
     single = [input_factor(network[0], batch, 100) for batch in x]
     # decays 0, 1/2, 2/3: still the plain mean, since 0.9 is larger
     torch.testing.assert_close(kfac.factors["0"].inputs, sum(single) / 3)
@@ -121,7 +121,7 @@ def test_schedule() -> None:
     kfac = Kfac(network, CONFIG.__class__(**{**CONFIG.__dict__, "statistics_interval": 3, "inverse_interval": 4}))
     inverses = []
     for update in range(8):
-        kfac.refresh(lambda update=update: calls.append(update) or fisher_loss(network) * (update + 1))
+        kfac.refresh(lambda _, update=update: calls.append(update) or fisher_loss(network) * (update + 1))
         inverses.append(kfac.inverses["0"])
     assert calls == [0, 3, 6]
     assert [i for i in range(1, 8) if inverses[i] is not inverses[i - 1]] == [4]
@@ -130,12 +130,12 @@ def test_schedule() -> None:
 def test_unusable_statistics_are_skipped_and_counted() -> None:
     network = nn.Sequential(nn.Linear(3, 2))
     kfac = Kfac(network, CONFIG)
-    kfac.refresh(lambda: network(torch.full((4, 3), torch.nan)).sum())
+    kfac.refresh(lambda _: network(torch.full((4, 3), torch.nan)).sum())
     assert not kfac.is_ready
     assert kfac.n_failures == 1
-    kfac.refresh(lambda: fisher_loss(network))
+    kfac.refresh(lambda _: fisher_loss(network))
     before = kfac.factors["0"].inputs
-    kfac.refresh(lambda: fisher_loss(network) * torch.nan)
+    kfac.refresh(lambda _: fisher_loss(network) * torch.nan)
     assert kfac.is_ready
     assert kfac.n_failures == 2
     assert torch.equal(before, kfac.factors["0"].inputs)

@@ -8,7 +8,7 @@ from tracked import RecordedRun
 
 from negopipe.errors import UserError
 from negopipe.gym_env import compose_config
-from negopipe.learning.acktr import Acktr
+from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import Rollout
 from negopipe.nested import take_from
 from negopipe.stages import train
@@ -26,9 +26,9 @@ def test_it_stops_with_the_last_good_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, value: float
 ) -> None:
     good: list[dict[str, torch.Tensor]] = []
-    update = Acktr.update
+    update = Learner.update
 
-    def spoiled(learner: Acktr, rollout: Rollout, progress: float) -> dict[str, float]:
+    def spoiled(learner: Learner, rollout: Rollout, progress: float) -> dict[str, float]:
         good.append({name: weight.clone() for name, weight in learner.policy.state_dict().items()})
         metrics = update(learner, rollout, progress)
         if len(good) < SPOILED:
@@ -39,10 +39,8 @@ def test_it_stops_with_the_last_good_policy(
             return metrics
         return {**metrics, what: value}
 
-    monkeypatch.setattr(Acktr, "update", spoiled)
-    with pytest.raises(
-        UserError, match=rf"^algorithm\.learning_rate = [^\n]+ {what} is not finite after iteration 4 of 6"
-    ):
+    monkeypatch.setattr(Learner, "update", spoiled)
+    with pytest.raises(UserError, match=rf"^algorithm=acktr with [^\n]+ {what} is not finite after iteration 4 of 6"):
         train.run(compose_config(list(CONFIG)), RecordedRun(tmp_path))  # type: ignore[arg-type]
     tensors, metadata = load_checkpoint(tmp_path / "checkpoint.safetensors")
     assert metadata["decisions"] == (SPOILED - 1) * 4 * 8

@@ -1,0 +1,67 @@
+"""ACKTR's direction with Adam as the step rule: the paper names both.
+
+v     = F_hat^-1 grad L
+theta <- Adam(theta, v), with the paper's rates for policy and value
+"""
+
+from typing import Literal
+
+from torch import Generator, Tensor
+
+from negopipe.learning.adam import AdamConfig, TwoRateAdam
+from negopipe.learning.kfac import Kfac, KfacConfig, fisher_loss
+from negopipe.learning.update import Decisions, UpdateConfig, forward, measure_kl, policy_gradient_loss, total_loss
+from negopipe.nested import put_under, take_from
+from negopipe.policy.actor_critic import ActorCritic
+from negopipe.schema import schema
+
+
+@schema
+class AcktrAdamConfig(UpdateConfig):
+    """Beside what all algorithms share:
+
+    adam: rates
+    kfac: quality and cost of the Fisher matrix
+    """
+
+    kind: Literal["acktr_adam"]
+    adam: AdamConfig
+    kfac: KfacConfig
+
+
+class AcktrAdam:
+    """Satisfies `negopipe.learning.update.Algorithm`.
+
+    generator: samples the Fisher matrix's targets; on the policy's device
+    """
+
+    def __init__(self, policy: ActorCritic, config: AcktrAdamConfig, generator: Generator) -> None:
+        self.policy, self.config, self.generator = policy, config, generator
+        self.kfac = Kfac(policy, config.kfac)
+        self.adam = TwoRateAdam(policy, config.adam)
+
+    @property
+    def n_skipped(self) -> int:
+        """Updates, statistics and inversions."""
+        return self.adam.n_skipped + self.kfac.n_failures
+
+    def step(self, batch: Decisions, shrink: float) -> dict[str, Tensor]:
+        self.kfac.refresh(lambda n: fisher_loss(self.policy, batch.observation[:n], self.generator))
+        outputs = forward(self.policy, batch.observation)
+        loss, parts = total_loss(policy_gradient_loss(outputs, batch), outputs, batch, self.policy, self.config)
+        self.policy.zero_grad(set_to_none=True)
+        loss.backward()
+        if self.kfac.is_ready:
+            self.kfac.set_gradient(self.kfac.natural_gradient(self.kfac.gradient()))
+        else:
+            self.policy.zero_grad(set_to_none=False)
+        self.adam.step(shrink)
+        n = self.config.n_probe
+        return {**parts, **measure_kl(self.policy, batch.observation[:n], outputs.first(n))}
+
+    def state_dict(self) -> dict[str, Tensor]:
+        return put_under("kfac", self.kfac.state_dict()) | put_under("adam", self.adam.state_dict())
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        self.kfac.load_state_dict(take_from("kfac", state))
+        self.adam.load_state_dict(take_from("adam", state))

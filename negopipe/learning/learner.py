@@ -1,0 +1,101 @@
+"""The learner: from a rollout to updates of the policy, by the algorithm that the config names.
+
+Scale. Returns are normalised by their running mean and spread sigma (the network's last layer is rescaled so that
+V does not change), advantages by the spread within the rollout: no algorithm sees the size of the rewards.
+"""
+
+from typing import Annotated
+
+import torch
+from pydantic import Field
+from torch import Generator, Tensor
+
+from negopipe.learning.a2c import A2cConfig, a2c
+from negopipe.learning.acktr import Acktr, AcktrConfig
+from negopipe.learning.acktr_adam import AcktrAdam, AcktrAdamConfig
+from negopipe.learning.advantage import estimate_advantage
+from negopipe.learning.ppo import PpoConfig, ppo
+from negopipe.learning.rollout import Rollout
+from negopipe.learning.update import Algorithm, Decisions, minibatches
+from negopipe.nested import put_under, take_from
+from negopipe.policy.actor_critic import ActorCritic
+
+AnyAlgorithmConfig = AcktrConfig | AcktrAdamConfig | A2cConfig | PpoConfig
+AlgorithmConfig = Annotated[AnyAlgorithmConfig, Field(discriminator="kind")]
+
+STD_MIN = 1e-4
+"""Smallest spread of returns and advantages that is divided by, in units of return."""
+
+
+def build_algorithm(policy: ActorCritic, config: AnyAlgorithmConfig, generator: Generator) -> Algorithm:
+    """The algorithm that a config belongs to."""
+    match config:
+        case AcktrConfig():
+            return Acktr(policy, config, generator)
+        case AcktrAdamConfig():
+            return AcktrAdam(policy, config, generator)
+        case A2cConfig():
+            return a2c(policy, config)
+        case PpoConfig():
+            return ppo(policy, config)
+
+
+class Learner:
+    """Owns what learning needs beside the policy's weights, and changes those in place.
+
+    generator: shuffles the minibatches and samples the Fisher matrix's targets; on the policy's device
+    """
+
+    def __init__(self, policy: ActorCritic, config: AnyAlgorithmConfig, generator: Generator) -> None:
+        self.policy, self.config, self.generator = policy, config, generator
+        self.algorithm = build_algorithm(policy, config, generator)
+        self.return_moments = torch.zeros(2)
+        self.n_rollouts = 0
+
+    def update(self, rollout: Rollout, progress: float) -> dict[str, float]:
+        """Improve the policy with one rollout.
+
+        progress: share of the training that is done, 0 to 1; the steps shrink with it
+        Returns the means over the updates of what `Algorithm.step` returns, explained_variance (of the returns by
+        V before the update), and n_skipped, what was left out so far because it could not be computed.
+        """
+        config = self.config
+        advantage, returns = estimate_advantage(rollout, config.gamma, config.advantage)
+        self._track_returns(returns)
+        explained = 1 - (returns - rollout.value).var() / returns.var().clamp(min=STD_MIN**2)
+        advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
+        fields = (rollout.observation, rollout.action, rollout.log_prob, advantage, returns)
+        decisions = Decisions(*(field.flatten(0, 1) for field in fields))
+        shrink = 1 - (1 - config.final_step_share) * progress
+        metrics = [
+            self.algorithm.step(decisions[index], shrink)
+            for _ in range(config.n_epochs)
+            for index in minibatches(len(decisions), config.minibatch_size, self.generator)
+        ]
+        means = {name: float(torch.stack([m[name] for m in metrics]).mean()) for name in metrics[0]}
+        return {**means, "explained_variance": float(explained), "n_skipped": float(self.algorithm.n_skipped)}
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Everything but the policy's own weights that the next update depends on."""
+        state = put_under("algorithm", self.algorithm.state_dict())
+        state["n_rollouts"] = torch.tensor(self.n_rollouts)
+        state["return_moments"] = self.return_moments
+        state["generator"] = self.generator.get_state()
+        return state
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Go on where `state_dict` was taken; the policy's weights are loaded apart."""
+        self.algorithm.load_state_dict(take_from("algorithm", state))
+        self.n_rollouts = int(state["n_rollouts"])
+        self.return_moments = state["return_moments"].to(self.policy.value_mean.device)
+        self.generator.set_state(state["generator"])
+
+    def _track_returns(self, returns: Tensor) -> None:
+        """Move the value's normalisation towards the mean and spread of these returns."""
+        decay = min(self.config.return_decay, 1 - 1 / (self.n_rollouts + 1))
+        moments = torch.stack([returns.mean(), returns.square().mean()])
+        self.return_moments = self.return_moments.to(moments).lerp(moments, 1 - decay)
+        self.n_rollouts += 1
+        mean, mean_square = self.return_moments
+        std = (mean_square - mean.square()).clamp(min=STD_MIN**2).sqrt()
+        self.policy.rescale_value(mean, std, keep_value=self.n_rollouts > 1)

@@ -1,0 +1,162 @@
+"""What the updates of all algorithms share: a minibatch, its losses, and how far a step has moved the network.
+
+policy gradient   L_pi = -1/N sum A_t log pi(a_t|s_t)
+value             L_V  = 1/(2N) sum (R_t - V(s_t))^2 / sigma^2
+entropy           H    = -1/N sum_t sum_a pi(a|s_t) log pi(a|s_t)
+together          L    = L_pi + c_V L_V - c_H H
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import torch
+from pydantic import model_validator
+from torch import Generator, Tensor
+
+from negopipe.learning.advantage import AdvantageConfig
+from negopipe.policy.actor_critic import ActorCritic
+from negopipe.schema import Fraction, NonNegativeFloat, PositiveInt, schema
+
+
+@schema
+class UpdateConfig:
+    """One iteration: how much is collected, and what the updates of all algorithms do alike.
+
+    n_worlds, n_steps: E worlds take T decisions per iteration
+    n_epochs: how often each decision is learnt from
+    minibatch_size: about so many decisions per update
+    gamma: discount per decision
+    advantage: how it is estimated
+    value_coefficient, entropy_coefficient: c_V, c_H
+    return_decay: weight of the old return statistics when a rollout comes in; smaller at the start
+    final_step_share: the steps shrink linearly with the progress of training, to this share at its end
+    n_probe: decisions of the minibatch on which the KL of an update is measured
+    """
+
+    n_worlds: PositiveInt
+    n_steps: PositiveInt
+    n_epochs: PositiveInt
+    minibatch_size: PositiveInt
+    gamma: Fraction
+    advantage: AdvantageConfig
+    value_coefficient: NonNegativeFloat
+    entropy_coefficient: NonNegativeFloat
+    return_decay: Fraction
+    final_step_share: Fraction
+    n_probe: PositiveInt
+
+    @model_validator(mode="after")
+    def _has_a_spread(self) -> "UpdateConfig":
+        if self.n_worlds * self.n_steps < 2:
+            raise ValueError("n_worlds 1 times n_steps 1 must be at least 2: one advantage has no spread")
+        return self
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """What an update learns from, one row per decision; `[index]` picks a minibatch.
+
+    observation: [N, *obs], action: [N] int64, log_prob: [N] float32, of the action when it was taken,
+    advantage: [N] float32 (normalised), returns: [N] float32
+    """
+
+    observation: Tensor
+    action: Tensor
+    log_prob: Tensor
+    advantage: Tensor
+    returns: Tensor
+
+    def __len__(self) -> int:
+        return len(self.action)
+
+    def __getitem__(self, index: Tensor) -> "Decisions":
+        return Decisions(*(getattr(self, field.name).index_select(0, index) for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What the network says of a minibatch: log_probs [N, A], value [N]."""
+
+    log_probs: Tensor
+    value: Tensor
+
+    def log_prob(self, action: Tensor) -> Tensor:
+        """log pi(a|s) of the actions [N], [N]."""
+        return self.log_probs.gather(1, action[:, None]).squeeze(1)
+
+    def first(self, n: int) -> "Outputs":
+        """Those of the first n decisions, without a gradient."""
+        return Outputs(self.log_probs[:n].detach(), self.value[:n].detach())
+
+
+class Algorithm(Protocol):
+    """How a minibatch improves the policy; owns what that needs beside the policy's weights."""
+
+    @property
+    def n_skipped(self) -> int:
+        """What was left out so far because it could not be computed."""
+        ...
+
+    def step(self, batch: Decisions, shrink: float) -> dict[str, Tensor]:
+        """Improve the policy with a minibatch, by steps `shrink` times as long as at the start of the training.
+
+        Returns policy_loss, value_loss, entropy, kl and value_kl, and measures of the algorithm's own.
+        """
+        ...
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Everything but the policy's weights and the generator that the next step depends on."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Go on where `state_dict` was taken."""
+        ...
+
+
+def forward(policy: ActorCritic, observation: Tensor) -> Outputs:
+    logits, value = policy(observation)
+    return Outputs(logits.log_softmax(-1), value)
+
+
+def policy_gradient_loss(outputs: Outputs, batch: Decisions) -> Tensor:
+    """L_pi, whose gradient is the policy gradient (Eq. 5)."""
+    return -(batch.advantage * outputs.log_prob(batch.action)).mean()
+
+
+def total_loss(
+    policy_loss: Tensor, outputs: Outputs, batch: Decisions, policy: ActorCritic, config: UpdateConfig
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """L, and its parts to be logged: policy_loss, value_loss (half squared standard deviations), entropy (nat)."""
+    value_loss = half_square(batch.returns - outputs.value, policy.value_std)
+    entropy = -(outputs.log_probs.exp() * outputs.log_probs).sum(-1).mean()
+    loss = policy_loss - config.entropy_coefficient * entropy + config.value_coefficient * value_loss
+    return loss, {
+        "policy_loss": policy_loss.detach(),
+        "value_loss": value_loss.detach(),
+        "entropy": entropy.detach(),
+    }
+
+
+@torch.no_grad()
+def measure_kl(policy: ActorCritic, probe: Tensor, before: Outputs) -> dict[str, Tensor]:
+    """How far a step has moved the network on the observations `probe` [n, *obs], nat.
+
+    kl: KL(old || new) of the actions; value_kl: the same of unit Gaussians around the normalised values
+    """
+    after = forward(policy, probe)
+    return {
+        "kl": (before.log_probs.exp() * (before.log_probs - after.log_probs)).sum(-1).mean(),
+        "value_kl": half_square(after.value - before.value, policy.value_std),
+    }
+
+
+def half_square(error: Tensor, std: Tensor) -> Tensor:
+    """Mean of 1/2 (error / std)^2."""
+    return 0.5 * (error / std).square().mean()
+
+
+def minibatches(n: int, size: int, generator: Generator) -> Iterator[Tensor]:
+    """A random partition of n decisions into minibatches of nearly equal size, `size` at most."""
+    n_minibatches = -(-n // size)
+    yield from torch.randperm(n, generator=generator, device=generator.device).chunk(n_minibatches)

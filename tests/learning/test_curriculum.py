@@ -1,0 +1,55 @@
+"""Where a training stands in Algorithm 1, with stages of fixed length and with stages that end early."""
+
+import pytest
+from games import MIXTURE
+
+from negopipe.learning.curriculum import AdvanceConfig, Curriculum, CurriculumConfig, CurriculumStageConfig
+
+STAGES = tuple(CurriculumStageConfig(name, n, MIXTURE) for name, n in (("a", 2), ("b", 3), ("c", 1)))
+
+
+def stages_of(curriculum: Curriculum, successes: list[bool]) -> str:
+    """The stage of each iteration, if each sees these episodes end."""
+    names = []
+    for _ in range(curriculum.n_total):
+        names.append(curriculum.stage.name)
+        curriculum.count(successes)
+    return "".join(names)
+
+
+@pytest.mark.parametrize("successes", [[], [True], [False] * 5])
+def test_without_advance_every_stage_takes_its_iterations(successes: list[bool]) -> None:
+    assert stages_of(Curriculum(CurriculumConfig(STAGES, None)), successes) == "aabbbc"
+
+
+@pytest.mark.parametrize(
+    ("successes", "expected"),
+    [
+        ([True, True, True], "abcccc"),  # mastered at once; the last stage takes what is left
+        ([True, True], "aabbcc"),  # three episodes are needed
+        ([True, False, True], "abcccc"),  # two of three are enough
+        ([True, False, False], "aabbbc"),
+        ([], "aabbbc"),
+    ],
+)
+def test_a_mastered_stage_ends_early(successes: list[bool], expected: str) -> None:
+    advance = AdvanceConfig(success_rate=0.6, n_episodes=3)
+    assert stages_of(Curriculum(CurriculumConfig(STAGES, advance)), successes) == expected
+
+
+def test_says_when_the_stage_changes() -> None:
+    curriculum = Curriculum(CurriculumConfig(STAGES, None))
+    assert [curriculum.count([]) for _ in range(6)] == [False, True, False, False, True, False]
+
+
+def test_goes_on_where_it_stopped() -> None:
+    config = CurriculumConfig(STAGES, AdvanceConfig(success_rate=1.0, n_episodes=4))
+    for n_before in range(6):
+        whole, first, second = (Curriculum(config) for _ in range(3))
+        for _ in range(n_before):
+            whole.count([True, True])
+            first.count([True, True])
+        second.load_state_dict(first.state_dict())
+        for _ in range(6):
+            assert whole.count([True]) == second.count([True])
+            assert whole.stage == second.stage
