@@ -90,7 +90,7 @@ def test_help_names_the_experiments_and_needs_no_torch() -> None:
         (["seed=1,2"], "Ambiguous value for argument 'seed=1,2'"),
         (
             ["checkpoint=nope"],
-            "checkpoint must be an existing file or the id of an MLflow run that saved one, got ",
+            "checkpoint must be an existing file, pretrained, or the id of an MLflow run that saved one, got ",
         ),
         (["-m", "seed=1,2", "planner.horizon_s=-1.0"], "planner.horizon_s must be greater than 0, got -1.0"),
         (["-m", "seed=1,2", "planner.foo=1"], "planner.foo is not a known key, allowed: "),

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from negopipe.driver import ChooseHorizon, Driver, HorizonDriver, drive_together, own_style
 from negopipe.env import Game
-from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
 from negopipe.schema import NonNegativeFloat, PositiveInt, Seed, schema
 from negopipe.simulation.simulator import Events
@@ -26,6 +26,8 @@ class EvaluationConfig:
     settings: Annotated[list[str], Field(min_length=1)]
     leading_setting: str
     n_episodes: PositiveInt
+    n_traced: PositiveInt
+    n_worlds: PositiveInt
     task_seed: Seed
     fixed_horizons_s: list[NonNegativeFloat]
     action: Literal["most_probable", "sample"]
@@ -39,6 +41,7 @@ def drive_episodes(
     n_worlds: int,
     reward_config: RewardConfig,
     names: tuple[str, str],
+    is_in_step: bool = False,
 ) -> Trace:
     """Let the ego drive all `tasks` with `choose_horizon`, `n_worlds` at a time.
 
@@ -46,6 +49,8 @@ def drive_episodes(
 
     reward_config: what the report counts, whatever the policy was trained with
     names: (planner, family) for the record
+    is_in_step: `choose_horizon` is asked for all worlds of a batch at every decision, also for those whose episode is
+        over; else for the running ones only, which saves their time
     """
     ego = HorizonDriver(choose_horizon, game.plan)
     social = HorizonDriver(own_style, game.plan)
@@ -53,33 +58,28 @@ def drive_episodes(
     batches = [
         map_tensors(lambda field, i=first: field[i : i + n_worlds], tasks) for first in range(0, len(tasks), n_worlds)
     ]
-    parts = [_record(game, drivers, batch, reward_config) for batch in batches]
-    joined = {name: np.concatenate([part[name] for part in parts], axis=_EPISODE_AXIS[name]) for name in parts[0]}
+    parts = [_record(game, drivers, batch, reward_config, is_in_step) for batch in batches]
+    joined = {name: np.concatenate([part[name] for part in parts], axis=EPISODE_AXIS[name]) for name in parts[0]}
     return Trace(planner=names[0], family=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
 
 
-_EPISODE_AXIS = {
-    "start_distance_m": 0, "style_horizon_s": 0, "n_steps": 0, "reached_step": 0, "outcome": 0,
-    "position_m": 1, "yaw_rad": 1, "speed_mps": 1, "progress_m": 1,
-    "horizon_s": 1, "is_full_braking": 1, "reward": 1,
-}  # fmt: skip
-
-
-def _record(game: Game, drivers: list[Driver], tasks: Task, reward_config: RewardConfig) -> dict[str, np.ndarray]:
+def _record(
+    game: Game, drivers: list[Driver], tasks: Task, reward_config: RewardConfig, is_in_step: bool
+) -> dict[str, np.ndarray]:
     """Fields of `Trace`."""
     world = game.simulator.reset(tasks)
-    is_running = torch.ones(len(tasks), dtype=torch.bool, device=tasks.family.device)
+    everyone = torch.arange(len(tasks), device=tasks.family.device)
+    is_running = torch.ones_like(everyone, dtype=torch.bool)
     states, decisions = [_state_row(game, world)], []
     is_success = is_collision = ~is_running
     for _ in range(game.simulator.scenario.episode_steps):
-        motion = drive_together(drivers, game.perceive(world))
-        moved, events = game.step(world, motion.state)
-        world = where_world(is_running, moved, world)
+        which = everyone if is_in_step else is_running.nonzero()[:, 0]
+        world, events, decision = _decide(game, drivers, world, which, is_running[which], reward_config)
         states.append(_state_row(game, world))
-        decisions.append(_decision_row(motion, events, reward_config, is_running))
-        is_success = is_success | (is_running & events.is_success)
-        is_collision = is_collision | (is_running & events.is_collision)
-        is_running = is_running & ~(events.is_terminated | events.is_truncated)
+        decisions.append({name: _scatter(field, which, len(tasks)) for name, field in decision.items()})
+        ended = map_tensors(lambda field, at=which: _scatter(field, at, len(tasks)), events)
+        is_success, is_collision = is_success | ended.is_success, is_collision | ended.is_collision
+        is_running = is_running & ~(ended.is_terminated | ended.is_truncated)
         if not is_running.any():
             break
     n_missing = game.simulator.scenario.episode_steps - len(decisions)
@@ -93,6 +93,28 @@ def _record(game: Game, drivers: list[Driver], tasks: Task, reward_config: Rewar
     rows["reached_step"] = _first_time(rows.pop("has_reached"))
     rows |= {"start_distance_m": tasks.start_distance, "style_horizon_s": tasks.style_horizon}
     return {name: value.cpu().numpy() for name, value in rows.items()}
+
+
+def _decide(
+    game: Game, drivers: list[Driver], world: World, which: Tensor, is_running: Tensor, reward_config: RewardConfig
+) -> tuple[World, Events, dict[str, Tensor]]:
+    """One decision in the worlds `which` [R], of which those that are not running [R] stay as they are.
+
+    Returns all worlds, and events and the decision's row of those R.
+    """
+    before = map_tensors(lambda field: field.index_select(0, which), world)
+    motion = drive_together(drivers, game.perceive(before))
+    moved, events = game.step(before, motion.state)
+    moved = where_world(is_running, moved, before)
+    world = map_tensors(lambda field, new: field.index_copy(0, which, new), world, moved)
+    events = map_tensors(lambda field: field & is_running, events)
+    return world, events, _decision_row(motion, events, reward_config, is_running)
+
+
+def _scatter(field: Tensor, which: Tensor, n: int) -> Tensor:
+    """[R, ...] as rows `which` of [n, ...]; the other worlds decide nothing: NaN for a horizon, else zero."""
+    empty = torch.nan if field.dim() > 1 and field.is_floating_point() else 0
+    return torch.full((n, *field.shape[1:]), empty, dtype=field.dtype, device=field.device).index_copy(0, which, field)
 
 
 def _state_row(game: Game, world: World) -> dict[str, Tensor]:

@@ -3,10 +3,14 @@
 import torch
 from torch import Generator, Tensor
 
+from negopipe.chunks import InChunks
 from negopipe.driver import ChooseHorizon, fixed_horizon
 from negopipe.env import Game
 from negopipe.policy.actor_critic import ActorCritic, greedy_action, sample_action
 from negopipe.simulation.perception import Perception
+
+BATCH = 64
+"""Grids that the network is shown at once, always so many: with another number its last bits may be others."""
 
 
 def fixed_name(horizon_s: float) -> str:
@@ -24,10 +28,11 @@ def adaptive_planner(
 ) -> ChooseHorizon:
     """The policy: looks at the grids and picks a horizon; the most probable one, or drawn with `sampling`."""
     horizons = torch.tensor(horizons_s, device=game.planner.times.device)
+    look = InChunks(lambda grids: policy(grids)[0], BATCH, lambda fn: fn)
 
     @torch.no_grad()
     def choose(perception: Perception) -> Tensor:
-        logits, _ = policy(game.draw(perception))
+        logits = look(game.draw(perception))
         action = greedy_action(logits) if sampling is None else sample_action(logits, sampling)
         return horizons[action][:, None]
 
@@ -38,7 +43,7 @@ def sequence_planner(horizon_s: Tensor) -> ChooseHorizon:
     """Plays `horizon_s` [T, E] (s), its next row at every decision.
 
     It counts the decisions, as no vehicle perceives the time: make one for each batch of episodes that start
-    together, and drive all E tasks in one batch (`n_worlds` = E).
+    together, and drive all E tasks in one batch (`n_worlds` = E), in step.
     """
     rows = iter(horizon_s[:, :, None])
 

@@ -1,7 +1,7 @@
 """The record of evaluated episodes: what every metric, figure and animation is computed from."""
 
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,22 @@ class Trace:
     n_steps: np.ndarray
     reached_step: np.ndarray
     outcome: np.ndarray
+
+    def first(self, n: int) -> "Trace":
+        """Its first `n` episodes, or all if there are fewer."""
+        cut = {
+            name: getattr(self, name)[:n] if axis == 0 else getattr(self, name)[:, :n]
+            for name, axis in EPISODE_AXIS.items()
+        }
+        return replace(self, **cut)
+
+
+EPISODE_AXIS = {
+    "start_distance_m": 0, "style_horizon_s": 0, "n_steps": 0, "reached_step": 0, "outcome": 0,
+    "position_m": 1, "yaw_rad": 1, "speed_mps": 1, "progress_m": 1,
+    "horizon_s": 1, "is_full_braking": 1, "reward": 1,
+}  # fmt: skip
+"""Of the arrays of a `Trace`."""
 
 
 _FORMAT = "negopipe traces 1"

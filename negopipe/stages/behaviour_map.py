@@ -68,7 +68,7 @@ def map_tasks(config: "RunConfig", game: Game, setting: str, style_s: float) -> 
 def _drive(config: "RunConfig", game: Game, tasks: Task, horizon_s: float, setting: str) -> Trace:
     names = (fixed_name(horizon_s), setting)
     return drive_episodes(
-        game, fixed_horizon(horizon_s), tasks, config.algorithm.n_worlds, config.evaluation.reward, names
+        game, fixed_horizon(horizon_s), tasks, config.evaluation.n_worlds, config.evaluation.reward, names
     )
 
 

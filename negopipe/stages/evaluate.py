@@ -37,18 +37,17 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     sampling = generator(config.seed, "evaluation actions", device) if is_drawn else None
     planners = {ADAPTIVE: adaptive_planner(policy, game, config.policy.horizons_s, sampling)}
     planners |= fixed_planners(config.evaluation.fixed_horizons_s)
-    traces = []
+    traces, tables = [], []
     with ProgressLine("evaluate", len(planners) * len(config.evaluation.settings)) as progress:
         for setting in config.evaluation.settings:
             tasks = held_out_tasks(config, game, setting)
             for name, choose in planners.items():
-                n_worlds, paid = config.algorithm.n_worlds, config.evaluation.reward
-                traces.append(drive_episodes(game, choose, tasks, n_worlds, paid, (name, setting)))
+                n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
+                trace = drive_episodes(game, choose, tasks, n_worlds, paid, (name, setting))
+                tables.append(metrics.episodes(trace, config.scenario.road.corridor_length_m))
+                traces.append(trace.first(config.evaluation.n_traced))
                 progress.advance(f"{setting}, {name}")
-    table = pd.concat(
-        [metrics.episodes(trace, config.scenario.road.corridor_length_m) for trace in traces],
-        ignore_index=True,
-    )
+    table = pd.concat(tables, ignore_index=True)
     table.to_csv(run.folder / "episodes.csv", index=False)
     save_traces(run.folder / "traces.npz", traces)
     summary = metrics.summary(table)

@@ -92,7 +92,8 @@ def find(
 def play(config: "RunConfig", game: Game, tasks: Task, best: Sequences, setting: str) -> Trace:
     """The record of the sequences `best` [N], driven like every planner."""
     horizons = torch.tensor(config.policy.horizons_s, device=best.actions.device)
-    return _drive(config, game, sequence_planner(horizons[best.actions.T]), tasks, (ORACLE, setting))
+    choose, paid = sequence_planner(horizons[best.actions.T]), config.evaluation.reward
+    return drive_episodes(game, choose, tasks, len(tasks), paid, (ORACLE, setting), is_in_step=True)
 
 
 def fixed_episodes(config: "RunConfig", game: Game, tasks: Task, setting: str) -> dict[float, pd.DataFrame]:

@@ -1,0 +1,187 @@
+"""What training seeds came to, and how surely: `python -m negopipe.sweeping.seeds outputs/yield`.
+
+Reads the episodes.csv of the runs of one config with several seeds and, for the regret, an oracle.csv; prints three
+tables and writes them to `outputs/sweeps/<name>/`:
+
+seeds.csv   a row per seed, setting and planner: rates with Wilson intervals, reward, regret to the oracle
+across.csv  a row per setting and planner: interquartile means across seeds, with bootstrap intervals
+styles.csv  a row per setting, style of the other driver and planner, seeds pooled; the policy's success less the
+            planner's on the same tasks
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from negopipe.errors import UserError
+from negopipe.evaluation.statistics import Estimate, interquartile_mean, mean_difference, rate
+from negopipe.evaluation.trace import ADAPTIVE
+from negopipe.sweeping.swept_runs import read_runs
+
+RATES = {"success": "success_rate", "collision": "collision_rate"}
+"""Outcomes that are counted, and what their shares are called."""
+RANDOM_SEED = 0
+"""Of the bootstrap: the same runs give the same intervals."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; 0, or 1 after a line that says what is wrong."""
+    parser = argparse.ArgumentParser(prog="python -m negopipe.sweeping.seeds", description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", type=Path, help="outputs/<name>: the folder that holds the runs")
+    parser.add_argument("--sweep", help="only runs with this tag `sweep`")
+    parser.add_argument("--oracle", type=Path, help="oracle.csv of +experiment=oracle, for the regret")
+    given = parser.parse_args(arguments)
+    try:
+        episodes = read_episodes(given.folder, given.sweep)
+        oracle = None if given.oracle is None else _read_oracle(given.oracle)
+        seeds = by_seed(episodes, oracle)
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 1
+    target = given.folder.parent / "sweeps" / (given.sweep or given.folder.name)
+    target.mkdir(parents=True, exist_ok=True)
+    for name, table in {"seeds": seeds, "across": across_seeds(seeds), "styles": by_style(episodes)}.items():
+        table.to_csv(target / f"{name}.csv", index=False)
+        _show(table)
+        print(f"{name:10} {target / name}.csv")
+    return 0
+
+
+def read_episodes(folder: Path, sweep: str | None = None) -> pd.DataFrame:
+    """Rows of `negopipe.evaluation.metrics.episodes` of all runs in `folder`, with a column `seed`.
+
+    Raises UserError if no run is evaluated, if two have the same seed or if they drove different tasks.
+    """
+    runs = [run for run in read_runs(folder, sweep) if (folder / run.name / "episodes.csv").exists()]
+    if not runs:
+        raise UserError(f"{folder}: no run in it has been evaluated")
+    seeds = [run.config["seed"] for run in runs]
+    if len(set(seeds)) < len(seeds):
+        raise UserError(f"{folder}: must hold one run per seed (--sweep picks some), got seeds {seeds}")
+    tables = [pd.read_csv(folder / run.name / "episodes.csv") for run in runs]
+    tasks = [table[["setting", "planner", "episode", "social_start_distance_m", "style_horizon_s"]] for table in tables]
+    for run, own in zip(runs[1:], tasks[1:], strict=True):
+        if not own.equals(tasks[0]):
+            raise UserError(f"{folder}: {run.name} drove other tasks than {runs[0].name}; evaluate them alike")
+    return pd.concat([table.assign(seed=seed) for seed, table in zip(seeds, tables, strict=True)], ignore_index=True)
+
+
+def by_seed(episodes: pd.DataFrame, oracle: pd.DataFrame | None) -> pd.DataFrame:
+    """One row per seed, setting and planner.
+
+    success_rate, collision_rate with _low and _high: Wilson intervals; driving_time_s: mean over arrivals
+    reward: mean; regret with _low and _high: mean of the oracle's reward less the planner's, over the tasks that the
+        oracle has, bootstrap interval over tasks; n_regret_tasks
+    """
+    rng = np.random.default_rng(RANDOM_SEED)
+    rows = []
+    for (seed, setting, planner), part in episodes.groupby(["seed", "setting", "planner"], sort=False):
+        row = {"seed": seed, "setting": setting, "planner": planner, "n_episodes": len(part)}
+        for outcome, name in RATES.items():
+            row |= _named(name, rate((part["outcome"] == outcome).to_numpy()))
+        row |= {"driving_time_s": part["driving_time_s"].mean(), "reward": part["reward"].mean()}
+        if oracle is not None:
+            row |= _regret(part, oracle[oracle["setting"] == setting], rng)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def across_seeds(seeds: pd.DataFrame) -> pd.DataFrame:
+    """One row per setting and planner: the interquartile mean of each measure across seeds, and its interval.
+
+    The interval resamples seeds; a planner that is not trained has the same figures for every seed, and a width of 0.
+    """
+    rng = np.random.default_rng(RANDOM_SEED)
+    measures = [name for name in (*RATES.values(), "reward", "regret") if name in seeds]
+    rows = []
+    for (setting, planner), part in seeds.groupby(["setting", "planner"], sort=False):
+        row = {"setting": setting, "planner": planner, "n_seeds": len(part)}
+        for name in measures:
+            if part[name].notna().all():
+                row |= _named(name, interquartile_mean(part[name].to_numpy(), rng))
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def by_style(episodes: pd.DataFrame) -> pd.DataFrame:
+    """One row per setting, style and planner, over all seeds, and one for all styles together.
+
+    success_rate, collision_rate: shares. lead with _low and _high: the policy's success rate less the planner's, on
+    the same tasks, paired bootstrap over tasks (a task's success is its share among the seeds)
+    """
+    rng = np.random.default_rng(RANDOM_SEED)
+    return pd.DataFrame(
+        {"setting": setting, "style_s": style, **row}
+        for setting, part in episodes.groupby("setting", sort=False)
+        for style, tasks in [*part.groupby("style_horizon_s"), ("all", part)]
+        for row in _styles_rows(tasks, rng)
+    )
+
+
+def _styles_rows(tasks: pd.DataFrame, rng: np.random.Generator) -> Iterator[dict]:
+    hits = {o: tasks.assign(hit=tasks["outcome"] == o).pivot_table("hit", "episode", "planner") for o in RATES}
+    success = hits["success"]
+    for planner in tasks["planner"].unique():
+        row = {"planner": planner, "n_tasks": len(success)}
+        row |= {name: hits[outcome][planner].mean() for outcome, name in RATES.items()}
+        if planner != ADAPTIVE and ADAPTIVE in success:
+            row |= _named("lead", mean_difference(success[ADAPTIVE].to_numpy(), success[planner].to_numpy(), rng))
+        yield row
+
+
+def _regret(part: pd.DataFrame, oracle: pd.DataFrame, rng: np.random.Generator) -> dict:
+    both = part.merge(oracle, on="episode", suffixes=("", "_oracle"))
+    if both.empty:
+        return {}
+    is_same = np.isclose(both["social_start_distance_m"], both["social_start_distance_m_oracle"], atol=1e-3)
+    if not is_same.all():
+        setting = part["setting"].iloc[0]
+        raise UserError(f"--oracle must be of the same tasks, got others in {setting} (evaluation.task_seed, scenario)")
+    regret = mean_difference(both["reward_oracle"].to_numpy(), both["reward"].to_numpy(), rng)
+    return {**_named("regret", regret), "n_regret_tasks": len(both)}
+
+
+def _read_oracle(path: Path) -> pd.DataFrame:
+    if not path.is_file():
+        raise UserError(f"--oracle must be an oracle.csv, got {path}: no such file")
+    return pd.read_csv(path)
+
+
+def _named(name: str, estimate: Estimate) -> dict[str, float]:
+    return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
+
+
+def _show(table: pd.DataFrame) -> None:
+    """An estimate and its interval in one cell."""
+    shown = [name for name in table if not str(name).endswith(("_low", "_high"))]
+    view = Table()
+    for name in shown:
+        view.add_column(str(name), justify="left" if table[name].dtype == object else "right", overflow="fold")
+    for row in table.to_dict("records"):
+        view.add_row(*(escape(_cell(row, str(name))) for name in shown))
+    console = Console()
+    (console if console.is_terminal else Console(width=160)).print(view)
+
+
+def _cell(row: dict, name: str) -> str:
+    value = row[name]
+    if not isinstance(value, float):
+        return str(value)
+    if np.isnan(value):
+        return "-"
+    scale, form = (100, "{:.2f}") if name in (*RATES.values(), "lead") else (1, "{:.2f}")
+    unit = " %" if scale == 100 else ""
+    low, high = row.get(f"{name}_low", np.nan), row.get(f"{name}_high", np.nan)
+    interval = "" if np.isnan(low) else f" [{form.format(scale * low)}, {form.format(scale * high)}]"
+    return f"{form.format(scale * value)}{unit}{interval}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
