@@ -1,0 +1,58 @@
+"""Training never sees what is evaluated: other random streams, and on the mixture other start distances."""
+
+import pytest
+import torch
+
+from negopipe.config import RunConfig
+from negopipe.env import build_game
+from negopipe.gym_env import compose_config
+from negopipe.seeding import generator
+from negopipe.simulation.scenario import TaskSampler
+from negopipe.simulation.state import Task
+from negopipe.stages.evaluate import held_out_tasks
+
+N = 4000
+NEAREST = 1
+
+
+def training_tasks(config: RunConfig, stage: int) -> Task:
+    """As `stages/train.py` draws them."""
+    stream = generator(config.seed, "training tasks", torch.device("cpu"))
+    return TaskSampler(config.scenario, config.curriculum.stages[stage].families, stream).draw(N)
+
+
+def held_out(config: RunConfig, setting: str) -> Task:
+    return held_out_tasks(config, build_game(config), setting)
+
+
+def distance(tasks: Task) -> torch.Tensor:
+    return tasks.start_distance[:, NEAREST]
+
+
+@pytest.mark.parametrize("setting", ["mixture", "mixture_switching"])
+def test_the_mixture_is_evaluated_at_distances_that_training_leaves_out(setting: str) -> None:
+    config = compose_config(["+experiment=mixture", f"evaluation.n_episodes={N}"])
+    evaluated = distance(held_out(config, setting))
+    for index, stage in enumerate(config.curriculum.stages):
+        trained = distance(training_tasks(config, index))
+        gaps = {tuple(family.gaps_m) for family in stage.families.values()}
+        assert len(gaps) == 1
+        (gaps_m,) = gaps
+        assert len(gaps_m) >= 3
+        for low, high in gaps_m:
+            assert not ((trained > low) & (trained < high)).any()
+        in_gaps = sum(((evaluated > low) & (evaluated < high)).float().mean() for low, high in gaps_m)
+        assert in_gaps > 0.25
+    assert evaluated.min() < 12.1
+    assert evaluated.max() > 18.7
+
+
+@pytest.mark.parametrize("seed", [1, 20210311])
+@pytest.mark.parametrize("setting", ["push", "yield"])
+def test_no_training_seed_draws_the_evaluated_tasks(setting: str, seed: int) -> None:
+    """Not even the one that is the evaluation's own."""
+    config = compose_config(["+experiment=yield", f"seed={seed}", f"evaluation.n_episodes={N}"])
+    evaluated = distance(held_out(config, setting))
+    trained = distance(training_tasks(config, len(config.curriculum.stages) - 1))
+    n_shared = torch.isin(evaluated, trained).sum()
+    assert n_shared < 0.02 * N  # some of 2^24 values meet by chance
