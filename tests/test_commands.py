@@ -108,3 +108,8 @@ def test_a_script_of_jobs_runs(script: str, place: Path, address: str) -> None:
 def test_chaos_leaves_every_job_finished_once(place: Path) -> None:
     said = run("python jobs/chaos.py --jobs 5 --killed 0.4", place)
     assert "equal results 5 of 5" in said
+
+
+@pytest.mark.slow
+def test_cartpole_is_solved(place: Path) -> None:
+    assert "acktr: 1 of 1 seeds reach 450" in run("python jobs/cartpole.py --seeds 1", place)
