@@ -77,15 +77,22 @@ class Acktr:
         """Updates, statistics and inversions."""
         return self._n_unusable + self.kfac.n_failures
 
-    def step(self, batch: Decisions, shrink: float) -> dict[str, Tensor]:
+    def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
         """Adds policy_step and value_step (eta) to what every algorithm measures."""
         self.kfac.refresh(lambda n: fisher_loss(self.policy, batch.observation[:n], self.generator))
         outputs = forward(self.policy, batch.observation)
-        loss, parts = total_loss(policy_gradient_loss(outputs, batch), outputs, batch, self.policy, self.config)
+        loss, parts = total_loss(
+            policy_gradient_loss(outputs, batch), outputs, batch, self.policy, self.config, progress
+        )
         self.policy.zero_grad(set_to_none=True)
         loss.backward()
         n = self.config.n_probe
-        return {**parts, **self._descend(self.kfac.gradient(), shrink, batch.observation[:n], outputs.first(n))}
+        return {
+            **parts,
+            **self._descend(
+                self.kfac.gradient(), self.config.step_share(progress), batch.observation[:n], outputs.first(n)
+            ),
+        }
 
     def state_dict(self) -> dict[str, Tensor]:
         state = put_under("kfac", self.kfac.state_dict()) | put_under("momentum", self.momentum)

@@ -45,17 +45,19 @@ class AcktrAdam:
         """Updates, statistics and inversions."""
         return self.adam.n_skipped + self.kfac.n_failures
 
-    def step(self, batch: Decisions, shrink: float) -> dict[str, Tensor]:
+    def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
         self.kfac.refresh(lambda n: fisher_loss(self.policy, batch.observation[:n], self.generator))
         outputs = forward(self.policy, batch.observation)
-        loss, parts = total_loss(policy_gradient_loss(outputs, batch), outputs, batch, self.policy, self.config)
+        loss, parts = total_loss(
+            policy_gradient_loss(outputs, batch), outputs, batch, self.policy, self.config, progress
+        )
         self.policy.zero_grad(set_to_none=True)
         loss.backward()
         if self.kfac.is_ready:
             self.kfac.set_gradient(self.kfac.natural_gradient(self.kfac.gradient()))
         else:
             self.policy.zero_grad(set_to_none=False)
-        self.adam.step(shrink)
+        self.adam.step(self.config.step_share(progress))
         n = self.config.n_probe
         return {**parts, **measure_kl(self.policy, batch.observation[:n], outputs.first(n))}
 

@@ -92,14 +92,14 @@ class FirstOrder:
     def n_skipped(self) -> int:
         return self.adam.n_skipped
 
-    def step(self, batch: Decisions, shrink: float) -> dict[str, Tensor]:
+    def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
         config, policy = self.config, self.policy
         outputs = forward(policy, batch.observation)
-        loss, parts = total_loss(self.policy_loss(outputs, batch), outputs, batch, policy, config)
+        loss, parts = total_loss(self.policy_loss(outputs, batch), outputs, batch, policy, config, progress)
         policy.zero_grad(set_to_none=True)
         loss.backward()
         nn.utils.clip_grad_norm_(policy.parameters(), config.gradient_norm_max)
-        self.adam.step(shrink)
+        self.adam.step(self.config.step_share(progress))
         return {**parts, **measure_kl(policy, batch.observation[: config.n_probe], outputs.first(config.n_probe))}
 
     def state_dict(self) -> dict[str, Tensor]:

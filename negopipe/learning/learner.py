@@ -55,7 +55,7 @@ class Learner:
     def update(self, rollout: Rollout, progress: float) -> dict[str, float]:
         """Improve the policy with one rollout.
 
-        progress: share of the training that is done, 0 to 1; the steps shrink with it
+        progress: share of the training that is done, 0 to 1; the steps and the weight of the entropy shrink with it
         Returns the means over the updates of what `Algorithm.step` returns, explained_variance (of the returns by
         V before the update), and n_skipped, what was left out so far because it could not be computed.
         """
@@ -66,9 +66,8 @@ class Learner:
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
         fields = (rollout.observation, rollout.action, rollout.log_prob, advantage, returns)
         decisions = Decisions(*(field.flatten(0, 1) for field in fields))
-        shrink = 1 - (1 - config.final_step_share) * progress
         metrics = [
-            self.algorithm.step(decisions[index], shrink)
+            self.algorithm.step(decisions[index], progress)
             for _ in range(config.n_epochs)
             for index in minibatches(len(decisions), config.minibatch_size, self.generator)
         ]

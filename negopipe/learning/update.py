@@ -31,6 +31,7 @@ class UpdateConfig:
     value_coefficient, entropy_coefficient: c_V, c_H
     return_decay: weight of the old return statistics when a rollout comes in; smaller at the start
     final_step_share: the steps shrink linearly with the progress of training, to this share at its end
+    final_entropy_share: so does c_H, to this share
     n_probe: decisions of the minibatch on which the KL of an update is measured
     """
 
@@ -44,6 +45,7 @@ class UpdateConfig:
     entropy_coefficient: NonNegativeFloat
     return_decay: Fraction
     final_step_share: Fraction
+    final_entropy_share: Fraction
     n_probe: PositiveInt
 
     @model_validator(mode="after")
@@ -51,6 +53,14 @@ class UpdateConfig:
         if self.n_worlds * self.n_steps < 2:
             raise ValueError("n_worlds 1 times n_steps 1 must be at least 2: one advantage has no spread")
         return self
+
+    def step_share(self, progress: float) -> float:
+        """Length of the steps relative to the start's, when the share `progress` of the training is done."""
+        return 1 - (1 - self.final_step_share) * progress
+
+    def entropy_weight(self, progress: float) -> float:
+        """c_H at that time."""
+        return self.entropy_coefficient * (1 - (1 - self.final_entropy_share) * progress)
 
 
 @dataclass(frozen=True)
@@ -98,8 +108,8 @@ class Algorithm(Protocol):
         """What was left out so far because it could not be computed."""
         ...
 
-    def step(self, batch: Decisions, shrink: float) -> dict[str, Tensor]:
-        """Improve the policy with a minibatch, by steps `shrink` times as long as at the start of the training.
+    def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
+        """Improve the policy with a minibatch, when the share `progress` of the training is done.
 
         Returns policy_loss, value_loss, entropy, kl and value_kl, and measures of the algorithm's own.
         """
@@ -125,12 +135,17 @@ def policy_gradient_loss(outputs: Outputs, batch: Decisions) -> Tensor:
 
 
 def total_loss(
-    policy_loss: Tensor, outputs: Outputs, batch: Decisions, policy: ActorCritic, config: UpdateConfig
+    policy_loss: Tensor,
+    outputs: Outputs,
+    batch: Decisions,
+    policy: ActorCritic,
+    config: UpdateConfig,
+    progress: float,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """L, and its parts to be logged: policy_loss, value_loss (half squared standard deviations), entropy (nat)."""
     value_loss = half_square(batch.returns - outputs.value, policy.value_std)
     entropy = -(outputs.log_probs.exp() * outputs.log_probs).sum(-1).mean()
-    loss = policy_loss - config.entropy_coefficient * entropy + config.value_coefficient * value_loss
+    loss = policy_loss - config.entropy_weight(progress) * entropy + config.value_coefficient * value_loss
     return loss, {
         "policy_loss": policy_loss.detach(),
         "value_loss": value_loss.detach(),

@@ -66,8 +66,9 @@ def test_number_of_probed_decisions_acts_on_the_measured_kl(algorithm: str) -> N
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_final_step_share_acts_with_progress(algorithm: str) -> None:
-    configs = [config_of(algorithm, f"algorithm.final_step_share={share}") for share in (0.5, 1.0)]
+@pytest.mark.parametrize("key", ["final_step_share", "final_entropy_share"])
+def test_final_shares_act_with_progress(algorithm: str, key: str) -> None:
+    configs = [config_of(algorithm, "algorithm.entropy_coefficient=0.1", f"algorithm.{key}={s}") for s in (0.5, 1.0)]
     half, whole = (train(config, 2, progress=1.0)[0] for config in configs)
     start, same = (train(config, 2, progress=0.0)[0] for config in configs)
     assert not torch.equal(weights(half), weights(whole))

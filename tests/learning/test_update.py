@@ -52,10 +52,18 @@ def test_clipped_loss(probability: float, advantage: float, loss: float, has_gra
 def test_total_loss() -> None:
     policy, config = network(), config_of("a2c", "algorithm.value_coefficient=0.5", "algorithm.entropy_coefficient=0.1")
     policy.value_std.fill_(2.0)
-    loss, parts = total_loss(torch.tensor(3.0), outputs(0.5, 4), decisions([0.0] * 4), policy, config)
+    loss, parts = total_loss(torch.tensor(3.0), outputs(0.5, 4), decisions([0.0] * 4), policy, config, progress=0.0)
     assert parts["value_loss"].item() == pytest.approx(0.5 * (1 / 2) ** 2)
     assert parts["entropy"].item() == pytest.approx(math.log(2))
     assert loss.item() == pytest.approx(3.0 + 0.5 * 0.125 - 0.1 * math.log(2))
+
+
+def test_shares_fall_linearly() -> None:
+    config = config_of(
+        "a2c", "algorithm.final_step_share=0.2", "algorithm.final_entropy_share=0", "algorithm.entropy_coefficient=0.1"
+    )
+    assert [config.step_share(p) for p in (0.0, 0.5, 1.0)] == pytest.approx([1.0, 0.6, 0.2])
+    assert [config.entropy_weight(p) for p in (0.0, 0.5, 1.0)] == pytest.approx([0.1, 0.05, 0.0])
 
 
 def test_measured_kl() -> None:
