@@ -91,7 +91,7 @@ def run_stages(composed: DictConfig) -> float | None:
     """Check the config, open its run and run its stages in order; returns the objective, None if there is none."""
     from negopipe.config import as_mapping, load, run_name
     from negopipe.identity import source_hash, stage_key
-    from negopipe.stages import backend
+    from negopipe.stages import backend, network_choice
     from negopipe.stages.reuse import take_over_training
     from negopipe.sweeping.objective import objective
     from negopipe.tracking.checkpoint import find_checkpoint
@@ -117,6 +117,7 @@ def run_stages(composed: DictConfig) -> float | None:
         log.info("run        %s", _from_here(run.folder))
         config = backend.settle(config, run.folder)
         backend.prepare(config)
+        config = network_choice.settle(config, run.folder)
         for name, stage in zip(config.stages, stages, strict=True):
             key = stage_key(config, name)
             if run.has_finished(name, key):

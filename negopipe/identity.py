@@ -27,6 +27,12 @@ STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report")
 
 NOT_TRAINED_ON = ("families",)
 """Of the scenario: training draws from the curriculum's families."""
+WITHOUT_NETWORK = ("behaviour_map", "oracle")
+ONLY_COMPUTED_WITH = ("precision",)
+"""Of the policy: nothing to stages that build no network."""
+ONLY_ROUNDED_BY = ("memory_format",)
+"""Of the policy: it orders sums, as threads do. A run settles it by a timing, which may end otherwise in another run
+of the same config; what that has trained is taken over all the same."""
 ONLY_SHOWN = ("leading_setting",)
 """Of the evaluation: what comes first in the report."""
 ONLY_NAMES = ("experiment", "registered_model")
@@ -39,6 +45,10 @@ def stage_key(config: RunConfig, stage: str) -> str:
     relevant: dict[str, Any] = {group: values[group] for group in DEPENDS_ON[stage]}
     if stage == "train":
         relevant["scenario"] = _without(relevant["scenario"], NOT_TRAINED_ON)
+    if stage != "benchmark":
+        relevant["policy"] = _without(relevant["policy"], ONLY_ROUNDED_BY)
+    if stage in WITHOUT_NETWORK:
+        relevant["policy"] = _without(relevant["policy"], ONLY_COMPUTED_WITH)
     if stage != "report" and "evaluation" in relevant:
         relevant["evaluation"] = _without(relevant["evaluation"], ONLY_SHOWN)
     if "tracking" in relevant:

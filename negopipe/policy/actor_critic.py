@@ -1,6 +1,7 @@
 """The network of the paper: a shared encoder, a policy head and a value head."""
 
 import math
+from copy import deepcopy
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -34,7 +35,10 @@ class PolicyConfig:
     encoder_width: units of the linear layer behind them
     head_widths: hidden units of the policy head and of the value head, alike
     horizons_s: action i makes the ego predict `horizons_s[i]` seconds ahead
-    precision: arithmetic of the encoder. `auto` is bfloat16 where the processor multiplies it natively
+    precision: arithmetic of the encoder
+    memory_format: order in which the encoder's weights and maps lie in memory
+    A run settles what `auto` stands for (`negopipe.stages.network_choice`); a policy that is built apart from a run
+    takes it for float32 and channels_last.
     """
 
     conv: tuple[ConvConfig, ...]
@@ -42,17 +46,17 @@ class PolicyConfig:
     head_widths: tuple[PositiveInt, ...]
     horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=2)]
     precision: Literal["auto", "float32", "bfloat16"]
+    memory_format: Literal["auto", "channels_last", "channels_first"]
 
 
-def encoder_dtype(precision: str, device: torch.device) -> torch.dtype:
-    """The encoder's dtype. `auto` asks what the processor can do and never times it: one seed, one result."""
-    if precision != "auto":
-        return {"float32": torch.float32, "bfloat16": torch.bfloat16}[precision]
-    if device.type == "cuda":
-        return torch.bfloat16
-    capabilities = torch.cpu.get_capabilities()
-    is_native = capabilities.get("avx512_bf16", False) or capabilities.get("amx_bf16", False)
-    return torch.bfloat16 if is_native else torch.float32
+def encoder_dtype(precision: str) -> torch.dtype:
+    """What a `PolicyConfig.precision` is called by torch."""
+    return {"auto": torch.float32, "float32": torch.float32, "bfloat16": torch.bfloat16}[precision]
+
+
+def encoder_memory_format(memory_format: str) -> torch.memory_format:
+    """What a `PolicyConfig.memory_format` is called by torch."""
+    return torch.contiguous_format if memory_format == "channels_first" else torch.channels_last
 
 
 class ActorCritic(nn.Module):
@@ -84,7 +88,6 @@ class ActorCritic(nn.Module):
         self.register_buffer("value_mean", torch.zeros(()))
         self.register_buffer("value_std", torch.ones(()))
         self._initialise(generator)
-        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Observations [E, *obs] -> logits [E, A] float32, V [E] float32 in units of return."""
@@ -120,7 +123,7 @@ class ActorCritic(nn.Module):
 
 
 class GridEncoder(nn.Module):
-    """Occupancy grids [E, C, H, W] (0 or 1) -> features [E, encoder_width], channels last in memory.
+    """Occupancy grids [E, C, H, W] (0 or 1) -> features [E, encoder_width], maps as `memory_format` has them.
 
     Raises UserError where the convolutions leave nothing of the grid.
     """
@@ -137,9 +140,10 @@ class GridEncoder(nn.Module):
             raise UserError(f"policy.conv must leave at least one cell of a {observation_shape[1:]} grid, got none")
         self.convolutions = nn.Sequential(*layers)
         self.linear = nn.Linear(channels * height * width, config.encoder_width)
+        self.memory_format = encoder_memory_format(config.memory_format)
 
     def forward(self, grid: Tensor) -> Tensor:
-        maps = self.convolutions(grid.contiguous(memory_format=torch.channels_last))
+        maps = self.convolutions(grid.contiguous(memory_format=self.memory_format))
         return torch.relu(self.linear(maps.flatten(1)))
 
 
@@ -147,14 +151,24 @@ def grid_actor_critic(
     config: PolicyConfig, observation_shape: tuple[int, int, int], device: torch.device, generator: Generator
 ) -> ActorCritic:
     """The paper's network on `device`, for grids [C, H, W]. The weights depend on the CPU generator only."""
-    return ActorCritic(
+    policy = ActorCritic(
         encoder=GridEncoder(config, observation_shape),
         n_features=config.encoder_width,
         head_widths=config.head_widths,
         n_actions=len(config.horizons_s),
-        dtype=encoder_dtype(config.precision, device),
+        dtype=encoder_dtype(config.precision),
         generator=generator,
-    ).to(device)
+    )
+    memory_format = encoder_memory_format(config.memory_format)
+    return policy.to(device=device, memory_format=memory_format)  # type: ignore[call-overload]
+
+
+def recast(policy: ActorCritic, precision: str, memory_format: str) -> ActorCritic:
+    """A copy of a network for grids which computes with another precision and memory format."""
+    other = deepcopy(policy)
+    assert isinstance(other.encoder, GridEncoder)
+    other.dtype, other.encoder.memory_format = encoder_dtype(precision), encoder_memory_format(memory_format)
+    return other.to(memory_format=other.encoder.memory_format)  # type: ignore[call-overload]
 
 
 def mlp(widths: tuple[int, ...]) -> nn.Sequential:

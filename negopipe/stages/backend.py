@@ -32,11 +32,10 @@ def settle(config: "RunConfig", folder: Path) -> "RunConfig":
     The choice is kept in `folder`, so that a run which goes on computes as it began, whatever has changed on the
     machine: other rounding would make it another run. A value that is given counts as given.
     """
-    path = folder / BACKEND_NAME
-    is_new = not path.exists()
-    chosen = _choose() if is_new else json.loads(path.read_text())
-    if is_new:
-        write_whole(path, (json.dumps(chosen, indent=2) + "\n").encode())
+    kept = kept_choices(folder)
+    chosen = kept or _choose()
+    if not kept:
+        keep_choices(folder, chosen)
     settled = replace(
         config,
         device=chosen["device"] if config.device == "auto" else config.device,
@@ -45,9 +44,21 @@ def settle(config: "RunConfig", folder: Path) -> "RunConfig":
     )
     _check(settled)
     how = "compiled (the first step takes up to a minute)" if settled.compile == "on" else "not compiled"
-    since = "" if is_new else ", as when the run began"
+    since = ", as when the run began" if kept else ""
     log.info(f"backend    {settled.device}, {settled.n_threads} threads, simulator {how}{since}")
     return settled
+
+
+def kept_choices(folder: Path) -> dict[str, Any]:
+    """What the run in `folder` has chosen so far, by key; empty at its first start."""
+    path = folder / BACKEND_NAME
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def keep_choices(folder: Path, choices: dict[str, Any]) -> None:
+    """Keep these beside what is kept already."""
+    content = json.dumps(kept_choices(folder) | choices, indent=2) + "\n"
+    write_whole(folder / BACKEND_NAME, content.encode())
 
 
 def prepare(config: "RunConfig") -> None:

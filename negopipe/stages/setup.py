@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
+ANY_WILL_DO = ("precision", "memory_format")
+"""Of a policy: weights are the same whatever they are computed with."""
+
 
 def device_of(config: "RunConfig") -> torch.device:
     """The device of simulator and network."""
@@ -29,7 +32,7 @@ def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
     device = device_of(config)
     game = build_game(config, device, is_compiled=config.compile == "on")
     policy = grid_actor_critic(config.policy, game.observation_shape, device, generator(config.seed, "initial weights"))
-    log.info(f"planner    {game.planner.n_combinations} trajectories per plan; network in {policy.dtype}")
+    log.info(f"planner    {game.planner.n_combinations} trajectories per plan")
     return game, policy
 
 
@@ -50,7 +53,7 @@ def load_policy(path: Path, policy: ActorCritic, config: "RunConfig") -> None:
     tensors, metadata = load_checkpoint(path)
     for part in ("policy", "observation"):
         made_with, wanted = metadata.get(part, {}), _plain(asdict(getattr(config, part)))
-        differing = [key for key in wanted if made_with.get(key) != wanted[key] and key != "precision"]
+        differing = [key for key in wanted if made_with.get(key) != wanted[key] and key not in ANY_WILL_DO]
         if differing:
             key = differing[0]
             raise UserError(f"{part}.{key} must be {made_with.get(key)} as in the checkpoint {path}, got {wanted[key]}")

@@ -13,9 +13,9 @@ from negopipe.errors import UserError
 from negopipe.policy.actor_critic import (
     ActorCritic,
     PolicyConfig,
-    encoder_dtype,
     greedy_action,
     grid_actor_critic,
+    recast,
     sample_action,
 )
 
@@ -26,7 +26,7 @@ YAML = Path(__file__).parents[2] / "conf" / "policy" / "cnn.yaml"
 @pytest.fixture(scope="module")
 def config() -> PolicyConfig:
     loaded = TypeAdapter(PolicyConfig).validate_python(yaml.safe_load(YAML.read_text()))
-    return replace(loaded, precision="float32")
+    return replace(loaded, precision="float32", memory_format="channels_last")
 
 
 def network(config: PolicyConfig, seed: int = 0) -> ActorCritic:
@@ -72,11 +72,51 @@ def test_bfloat16_is_close_to_float32_and_not_equal(config: PolicyConfig) -> Non
     torch.testing.assert_close(exact, rounded, atol=1e-3, rtol=0.1)
 
 
-def test_auto_precision_is_what_the_processor_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
-    assert encoder_dtype("auto", CPU) == torch.bfloat16
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": False})
-    assert encoder_dtype("auto", CPU) == torch.float32
+def formats(policy: ActorCritic) -> list[torch.memory_format]:
+    """In which the weights of the convolutions, their gradients and the maps behind them lie."""
+    maps: list[Tensor] = []
+    layers = [layer for layer in policy.modules() if isinstance(layer, torch.nn.Conv2d)]
+    handles = [layer.register_forward_hook(lambda *call: maps.append(call[-1])) for layer in layers]
+    policy(grids(2))[1].sum().backward()
+    for handle in handles:
+        handle.remove()
+    gradients = [layer.weight.grad for layer in layers]
+    tensors = [*(layer.weight for layer in layers), *(g for g in gradients if g is not None), *maps]
+    assert len(tensors) == 3 * 3
+    names = (torch.contiguous_format, torch.channels_last)
+    assert all(sum(tensor.is_contiguous(memory_format=name) for name in names) == 1 for tensor in tensors)
+    return [name for tensor in tensors for name in names if tensor.is_contiguous(memory_format=name)]
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize(
+    ("name", "expected"), [("channels_last", torch.channels_last), ("channels_first", torch.contiguous_format)]
+)
+def test_the_memory_format_reaches_weights_and_maps(
+    config: PolicyConfig, precision: str, name: str, expected: torch.memory_format
+) -> None:
+    policy = network(replace(config, precision=precision, memory_format=name))
+    assert set(formats(policy)) == {expected}
+
+
+def test_the_memory_format_changes_rounding_only(config: PolicyConfig) -> None:
+    last, first = (network(replace(config, memory_format=f"channels_{side}")) for side in ("last", "first"))
+    assert all(torch.equal(weight, first.state_dict()[name]) for name, weight in last.state_dict().items())
+    torch.testing.assert_close(last(grids(3)), first(grids(3)), atol=1e-5, rtol=1e-4)
+
+
+def test_a_network_can_be_recast(config: PolicyConfig) -> None:
+    policy = network(config)
+    other = recast(policy, "bfloat16", "channels_first")
+    expected = network(replace(config, precision="bfloat16", memory_format="channels_first"))
+    assert torch.equal(other(grids(3))[0], expected(grids(3))[0])
+    assert set(formats(other)) == {torch.contiguous_format}
+    assert (policy.dtype, set(formats(policy))) == (torch.float32, {torch.channels_last})
+
+
+def test_apart_from_a_run_auto_is_float32_and_channels_last(config: PolicyConfig) -> None:
+    policy = network(replace(config, precision="auto", memory_format="auto"))
+    assert (policy.dtype, set(formats(policy))) == (torch.float32, {torch.channels_last})
 
 
 @pytest.mark.parametrize("keep_value", [True, False])

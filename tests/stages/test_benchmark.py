@@ -57,6 +57,7 @@ SHARED = {
     "limit.bytes_per_decision",
     "limit.decisions_per_s",
     "train.decisions_per_s",
+    "train.iteration_efficiency",
     "train.tracking_share",
 }
 
@@ -95,6 +96,7 @@ def test_all_figures_are_written_under_their_names(
     assert all(re.fullmatch(r"(reference|limit|train|eager\.\d+)\.[a-z0-9_]+", name) for name in figures)
     assert figures["eager.1.decision_latency_ms_p50"] <= figures["eager.1.decision_latency_ms_p99"]
     assert figures["train.tracking_share"] < 1
+    assert figures["train.iteration_efficiency"] < 1.5
     assert run.artifacts == [("benchmark.json", "")]
     assert run.metrics["benchmark/eager/4/decisions_per_s"] == figures["eager.4.decisions_per_s"]
     shown = capsys.readouterr().out

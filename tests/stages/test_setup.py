@@ -1,0 +1,28 @@
+"""A checkpoint's weights fit every way of computing with them, and no other network."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from negopipe.errors import UserError
+from negopipe.gym_env import compose_config
+from negopipe.stages.setup import build, load_policy, save_policy
+
+SMALL = ("device=cpu", "compile=off", "policy.encoder_width=16", "policy.head_widths=[8]")
+
+
+def test_precision_and_memory_format_of_a_checkpoint_do_not_bind(tmp_path: Path) -> None:
+    made_with = compose_config([*SMALL, "policy.precision=bfloat16", "policy.memory_format=channels_first"])
+    _, made = build(made_with)
+    save_policy(tmp_path / "weights", made, made_with, 1)
+    config = compose_config([*SMALL, "seed=2", "policy.precision=float32", "policy.memory_format=channels_last"])
+    _, policy = build(config)
+    load_policy(tmp_path / "weights", policy, config)
+    assert all(torch.equal(weight, made.state_dict()[name]) for name, weight in policy.state_dict().items())
+    convolution = next(layer for layer in policy.modules() if isinstance(layer, torch.nn.Conv2d))
+    assert convolution.weight.is_contiguous(memory_format=torch.channels_last)
+    wider = replace(config, policy=replace(config.policy, encoder_width=32))
+    with pytest.raises(UserError, match=r"^policy\.encoder_width must be 16 as in the checkpoint .* got 32$"):
+        load_policy(tmp_path / "weights", policy, wider)
