@@ -20,9 +20,11 @@ SMALL = (
     "device=cpu",
     "tracking.snapshot_period_s=1e-6",
     "scenario.episode_steps=20",  # so that episodes are cut off and start anew
-    "algorithm.kfac.statistics_interval=2",
-    "algorithm.kfac.inverse_interval=3",
 )
+KFAC = ("algorithm.kfac.statistics_interval=2", "algorithm.kfac.inverse_interval=3")
+OTHERS = {"acktr_adam": KFAC, "a2c": (), "ppo": ("algorithm.n_epochs=2",)}
+EARLY = ("curriculum.advance={success_rate: 0.0, n_episodes: 3}", "scenario.episode_steps=7")
+"""Stages end when three episodes are over."""
 DURATIONS = ["wall_s", "decisions_per_s"]
 
 
@@ -48,26 +50,45 @@ def result(folder: Path) -> tuple[bytes, pd.DataFrame]:
     return (folder / "checkpoint.safetensors").read_bytes(), history.drop(columns=DURATIONS)
 
 
+def drive(folder: Path, *overrides: str, deaths: tuple[int, ...] = ()) -> tuple[bytes, pd.DataFrame]:
+    """Train, killed in the iterations `deaths` of the processes before the last."""
+    config = compose_config([*SMALL, *overrides])
+    folder.mkdir(exist_ok=True)
+    for n in deaths:
+        with pytest.raises(Killed):
+            train.run(config, MortalRun(folder, n))  # type: ignore[arg-type]
+    train.run(config, RecordedRun(folder))  # type: ignore[arg-type]
+    return result(folder)
+
+
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, pd.DataFrame]:
-    folder = tmp_path_factory.mktemp("undisturbed")
-    train.run(compose_config(list(SMALL)), RecordedRun(folder))  # type: ignore[arg-type]
-    return result(folder)
+    return drive(tmp_path_factory.mktemp("undisturbed"), *KFAC)
 
 
 @pytest.mark.parametrize("deaths", [(2, 1, 3), (6,)])
 def test_it_ends_as_if_it_had_never_been_killed(
     undisturbed: tuple[bytes, pd.DataFrame], tmp_path: Path, deaths: tuple[int, ...]
 ) -> None:
-    config = compose_config(list(SMALL))
-    for n in deaths:
-        with pytest.raises(Killed):
-            train.run(config, MortalRun(tmp_path, n))  # type: ignore[arg-type]
-    train.run(config, RecordedRun(tmp_path))  # type: ignore[arg-type]
-    checkpoint, history = result(tmp_path)
+    checkpoint, history = drive(tmp_path, *KFAC, deaths=deaths)
     assert checkpoint == undisturbed[0]
     pd.testing.assert_frame_equal(history, undisturbed[1], check_exact=True)
     assert not (tmp_path / "snapshots").exists()
+
+
+@pytest.mark.parametrize("algorithm", OTHERS)
+def test_so_does_every_algorithm(tmp_path: Path, algorithm: str) -> None:
+    changed = (f"algorithm={algorithm}", *OTHERS[algorithm])
+    whole, (checkpoint, history) = (drive(tmp_path / f"{len(d)}", *changed, deaths=d) for d in ((), (2, 3)))
+    assert checkpoint == whole[0]
+    pd.testing.assert_frame_equal(history, whole[1], check_exact=True)
+
+
+def test_so_does_a_stage_that_ends_early(tmp_path: Path) -> None:
+    whole, (checkpoint, history) = (drive(tmp_path / f"{len(d)}", *KFAC, *EARLY, deaths=d) for d in ((), (2, 3)))
+    assert checkpoint == whole[0]
+    assert history["stage"].tolist() == whole[1]["stage"].tolist()
+    assert history["stage"].value_counts()["full"] > 2
 
 
 def test_stages_of_one_name_are_two_stages(tmp_path: Path) -> None:
@@ -86,7 +107,7 @@ def test_stages_of_one_name_are_two_stages(tmp_path: Path) -> None:
 def test_a_signal_waits_for_the_end_of_the_step_and_the_work_is_kept(
     undisturbed: tuple[bytes, pd.DataFrame], tmp_path: Path
 ) -> None:
-    config = compose_config([*SMALL, "tracking.snapshot_period_s=1e6"])
+    config = compose_config([*SMALL, *KFAC, "tracking.snapshot_period_s=1e6"])
 
     class StoppedRun(RecordedRun):
         def log_metrics(self, metrics: dict[str, float], step: int) -> None:
