@@ -1,11 +1,12 @@
 """A corridor of seven cells that every algorithm should learn to walk, and training on it."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import torch
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from pydantic import TypeAdapter
 from rollouts import episode_statistics
 from torch import Generator, Tensor, nn
@@ -52,13 +53,22 @@ class Corridor:
         return Transition(self.observe(), final, reward, is_terminated, is_truncated, is_success, is_collision)
 
 
+@cache
 def config_of(algorithm: str, *overrides: str) -> Any:
-    """conf/algorithm/<algorithm>.yaml, small, with `overrides` as on the command line."""
+    """conf/algorithm/<algorithm>.yaml, small, with `overrides` as on the command line: groups first, then values."""
+    groups = tuple(text for text in overrides if "/" in text.partition("=")[0])
+    values = [text for text in overrides if text not in groups]
     small = (*SMALL, *SMALL_KFAC) if algorithm.startswith("acktr") else SMALL
+    changed = OmegaConf.merge(composed(algorithm, *groups), OmegaConf.from_dotlist([*small, *values]))
+    config = OmegaConf.to_container(OmegaConf.create(changed).algorithm, resolve=True)
+    return TypeAdapter(AlgorithmConfig).validate_python(config)
+
+
+@cache
+def composed(algorithm: str, *groups: str) -> DictConfig:
+    """Hydra takes most of the time of a small training."""
     with initialize_config_dir(str(CONF), version_base=None):
-        composed = compose("config", [f"algorithm={algorithm}", *small, *overrides])
-    values = OmegaConf.to_container(composed.algorithm, resolve=True)
-    return TypeAdapter(AlgorithmConfig).validate_python(values)
+        return compose("config", [f"algorithm={algorithm}", *groups])
 
 
 def network(seed: int = 0) -> ActorCritic:

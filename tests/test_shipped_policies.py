@@ -1,0 +1,43 @@
+"""The policies that come with negopipe drive as well as the README says they do."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from negopipe.evaluation import metrics
+from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.planners import adaptive_planner
+from negopipe.gym_env import compose_config
+from negopipe.stages.evaluate import held_out_tasks
+from negopipe.stages.setup import build, load_policy
+from negopipe.tracking.checkpoint import find_checkpoint
+
+AT_LEAST = {"yield": {"push": 0.995, "yield": 0.995}, "mixture": {"mixture": 0.97}}
+"""Success rates, by policy and setting."""
+COLLISIONS_AT_MOST = {"yield": 0.002, "mixture": 0.005}
+
+
+def rates(experiment: str, setting: str, n_episodes: int) -> tuple[float, float]:
+    """Shares of success and collision on held-out tasks."""
+    config = compose_config([f"+experiment={experiment}", "device=cpu", "compile=off", "policy.precision=float32"])
+    config = replace(config, evaluation=replace(config.evaluation, n_episodes=n_episodes))
+    game, policy = build(config)
+    load_policy(find_checkpoint("pretrained", config), policy, config)
+    choose = adaptive_planner(policy, game, config.policy.horizons_s, None)
+    tasks, evaluation = held_out_tasks(config, game, setting), config.evaluation
+    trace = drive_episodes(game, choose, tasks, evaluation.n_worlds, evaluation.reward, ("adaptive", setting))
+    outcome = metrics.episodes(trace, config.scenario.road.corridor_length_m)["outcome"]
+    return (outcome == "success").mean(), (outcome == "collision").mean()
+
+
+@pytest.mark.parametrize(
+    "n_episodes", [pytest.param(60, id="few"), pytest.param(1000, marks=pytest.mark.slow, id="many")]
+)
+@pytest.mark.parametrize(("experiment", "setting"), [(e, s) for e, settings in AT_LEAST.items() for s in settings])
+def test_it_succeeds_and_does_not_crash(experiment: str, setting: str, n_episodes: int) -> None:
+    """In float32, on a machine that knows nothing of the one which trained it."""
+    torch.set_num_threads(1)
+    success, collision = rates(experiment, setting, n_episodes)
+    assert success >= AT_LEAST[experiment][setting]
+    assert collision <= COLLISIONS_AT_MOST[experiment]
