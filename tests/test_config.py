@@ -119,7 +119,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             "evaluation.fixed_horizons_s must be at most planner.horizon_s = 6.0, got 8.0",
         ),
         (
-            ["curriculum.stages.0.families.push.style_horizon_s=[2.0,7.0]"],
+            ["curriculum=three_stages", "curriculum.stages.0.families.push.style_horizon_s=[2.0,7.0]"],
             "curriculum.stages.0.families.push.style_horizon_s must be at most planner.horizon_s = 6.0, got ",
         ),
         (
@@ -169,7 +169,7 @@ def test_a_wrong_value_is_named_with_what_is_allowed(overrides: list[str], line:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "curriculum.stages.0.families.push.foo"])
+@pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "scenario.families.push.foo"])
 def test_an_added_key_is_refused_at_every_depth(key: str) -> None:
     siblings: Any = as_mapping(build())
     for part in key.split(".")[:-1]:

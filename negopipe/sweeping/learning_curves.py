@@ -88,7 +88,8 @@ def learning_curves(table: pd.DataFrame) -> Figure:
             axis.grid(axis="y")
         row[0].set_ylabel(label)
     panels[0, 0].set_ylim(-0.02, 1.02)
-    panels[1, 0].set_ylim(bottom=float(np.nanpercentile(table["return_mean"], LOWEST)))
+    if table["return_mean"].notna().any():
+        panels[1, 0].set_ylim(bottom=float(np.nanpercentile(table["return_mean"], LOWEST)))
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=min(4, len(groups)))
     return figure
@@ -97,7 +98,7 @@ def learning_curves(table: pd.DataFrame) -> Figure:
 def _curve(axis: Axes, rows: pd.DataFrame, x: str, measure: str, scale: float, color: str) -> None:
     seeds = [part.dropna(subset=[measure]) for _, part in rows.groupby("seed")]
     seeds = [part for part in seeds if len(part) > 0]
-    if not seeds:
+    if not seeds:  # no episode was over yet
         return
     start, end = max(part[x].min() for part in seeds), min(part[x].max() for part in seeds)
     at = np.linspace(start, end, N_POINTS)

@@ -42,6 +42,11 @@ def test_lines_are_means_in_the_range_of_the_seeds(folder: Path) -> None:
     assert (np.asarray(fast.get_ydata()) > y).all()
 
 
+def test_a_sweep_too_short_for_an_episode_has_empty_panels(folder: Path) -> None:
+    table = read_curves(folder, ["algorithm.rate"]).assign(success_rate=np.nan, return_mean=np.nan)
+    assert not any(axis.get_lines() for axis in learning_curves(table).get_axes())
+
+
 def test_the_command_writes_table_and_figure(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(folder), "--by", "algorithm.rate"]) == 0
     target = folder.parent / "sweeps" / "yield"

@@ -75,7 +75,7 @@ def test_a_reference_is_a_path_or_the_newest_checkpoint_of_a_run(config: StoreCo
     assert find_checkpoint(str(file), config) == file
     assert load_checkpoint(find_checkpoint(run.run_id, config))[1] == {"step": 2}
     for unknown in ("nowhere.safetensors", "0" * 32, str(run.folder)):
-        with pytest.raises(UserError, match=f"^checkpoint must be an existing file or .*, got {unknown}$"):
+        with pytest.raises(UserError, match=f"^checkpoint must be an existing file, .*, got {unknown}$"):
             find_checkpoint(unknown, config)
 
 
