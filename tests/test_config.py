@@ -169,7 +169,7 @@ def test_a_wrong_value_is_named_with_what_is_allowed(overrides: list[str], line:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "scenario.families.push.foo"])
+@pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "scenario.families.mixture.foo"])
 def test_an_added_key_is_refused_at_every_depth(key: str) -> None:
     siblings: Any = as_mapping(build())
     for part in key.split(".")[:-1]:
