@@ -38,10 +38,11 @@ from negopipe.learning.rollout import RunningEpisodes, Transition, collect
 from negopipe.policy.actor_critic import ActorCritic, greedy_action, mlp, sample_action
 from negopipe.seeding import generator
 
-# ACKTR is shown as it stands in conf/: its steps are measured in nat, which is the same for any network. The Adam
-# rates of conf/ are the paper's, for its grids; a network this small takes larger steps. All collect alike.
+# ACKTR is shown as it stands in conf/ but for smaller batches, as 150,000 steps are few: its steps are measured in nat,
+# which is the same for any network. The Adam rates of conf/ are the paper's, for its grids; a network this small takes
+# larger steps. All collect alike.
 ADAM = ("algorithm.adam.policy_rate=0.003", "algorithm.adam.value_rate=0.003")
-COLLECTING = ("algorithm.n_worlds=64", "algorithm.n_steps=16")
+COLLECTING = ("algorithm.n_worlds=64", "algorithm.n_steps=16", "algorithm.minibatch_size=512")
 OVERRIDES = {
     "acktr": COLLECTING,
     "acktr_adam": (*COLLECTING, *ADAM),
