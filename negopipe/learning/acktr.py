@@ -31,10 +31,9 @@ from negopipe.learning.update import (
     Decisions,
     Outputs,
     UpdateConfig,
-    forward,
+    differentiate,
     measure_kl,
     policy_gradient_loss,
-    total_loss,
 )
 from negopipe.nested import put_under, take_from
 from negopipe.policy.actor_critic import ActorCritic
@@ -80,12 +79,7 @@ class Acktr:
     def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
         """Adds policy_step and value_step (eta) to what every algorithm measures."""
         self.kfac.refresh(lambda n: fisher_loss(self.policy, batch.observation[:n], self.generator))
-        outputs = forward(self.policy, batch.observation)
-        loss, parts = total_loss(
-            policy_gradient_loss(outputs, batch), outputs, batch, self.policy, self.config, progress
-        )
-        self.policy.zero_grad(set_to_none=True)
-        loss.backward()
+        outputs, parts = differentiate(self.policy, batch, policy_gradient_loss, self.config, progress)
         n = self.config.n_probe
         return {
             **parts,

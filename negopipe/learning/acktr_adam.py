@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from negopipe.learning.adam import AdamConfig, TwoRateAdam
 from negopipe.learning.kfac import Kfac, KfacConfig, fisher_loss
-from negopipe.learning.update import Decisions, UpdateConfig, forward, measure_kl, policy_gradient_loss, total_loss
+from negopipe.learning.update import Decisions, UpdateConfig, differentiate, measure_kl, policy_gradient_loss
 from negopipe.nested import put_under, take_from
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.schema import schema
@@ -47,12 +47,7 @@ class AcktrAdam:
 
     def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
         self.kfac.refresh(lambda n: fisher_loss(self.policy, batch.observation[:n], self.generator))
-        outputs = forward(self.policy, batch.observation)
-        loss, parts = total_loss(
-            policy_gradient_loss(outputs, batch), outputs, batch, self.policy, self.config, progress
-        )
-        self.policy.zero_grad(set_to_none=True)
-        loss.backward()
+        outputs, parts = differentiate(self.policy, batch, policy_gradient_loss, self.config, progress)
         if self.kfac.is_ready:
             self.kfac.set_gradient(self.kfac.natural_gradient(self.kfac.gradient()))
         else:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from negopipe.learning.update import Decisions, Outputs, UpdateConfig, forward, measure_kl, total_loss
+from negopipe.learning.update import Decisions, Outputs, UpdateConfig, differentiate, measure_kl
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.schema import PositiveFloat, schema
 
@@ -94,10 +94,7 @@ class FirstOrder:
 
     def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
         config, policy = self.config, self.policy
-        outputs = forward(policy, batch.observation)
-        loss, parts = total_loss(self.policy_loss(outputs, batch), outputs, batch, policy, config, progress)
-        policy.zero_grad(set_to_none=True)
-        loss.backward()
+        outputs, parts = differentiate(policy, batch, self.policy_loss, config, progress)
         nn.utils.clip_grad_norm_(policy.parameters(), config.gradient_norm_max)
         self.adam.step(self.config.step_share(progress))
         return {**parts, **measure_kl(policy, batch.observation[: config.n_probe], outputs.first(config.n_probe))}

@@ -6,7 +6,7 @@ entropy           H    = -1/N sum_t sum_a pi(a|s_t) log pi(a|s_t)
 together          L    = L_pi + c_V L_V - c_H H
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from typing import Protocol
 
@@ -151,6 +151,21 @@ def total_loss(
         "value_loss": value_loss.detach(),
         "entropy": entropy.detach(),
     }
+
+
+def differentiate(
+    policy: ActorCritic,
+    batch: Decisions,
+    policy_loss: Callable[[Outputs, Decisions], Tensor],
+    config: UpdateConfig,
+    progress: float,
+) -> tuple[Outputs, dict[str, Tensor]]:
+    """Leave grad L at the policy's parameters; returns what the network says of the minibatch, and the parts of L."""
+    outputs = forward(policy, batch.observation)
+    loss, parts = total_loss(policy_loss(outputs, batch), outputs, batch, policy, config, progress)
+    policy.zero_grad(set_to_none=True)
+    loss.backward()
+    return outputs, parts
 
 
 @torch.no_grad()
