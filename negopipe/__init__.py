@@ -8,15 +8,17 @@ The map, from the bottom up (a part imports only what stands above it here):
     planner/      polynomials, longitudinal and lateral candidates, prediction, frenet (the choice)
     observation/  occupancy grids          reward   Eq. 3
     driver        who drives a vehicle     policy/  the network
-    learning/     rollout, advantage, kfac, acktr, curriculum: tensors only, nothing of the simulator
+    learning/     rollout, advantage, curriculum, update (what algorithms share), learner; acktr and acktr_adam
+                  (with kfac), a2c and ppo (with adam): tensors only, nothing of the simulator
     chunks, env   the game as batched worlds for the learner
-    evaluation/   drives held-out tasks: planners, episodes, trace, metrics
+    evaluation/   drives held-out tasks: planners, episodes, trace, metrics; statistics over tasks and seeds
     report/       figures, animation, page
-    tracking/     what a run tells a store: journal -> delivery -> MLflow; checkpoints, snapshots
+    tracking/     what a run tells a store: journal -> delivery -> MLflow; checkpoints, snapshots,
+                  the policies that come with negopipe
     stages/       train, evaluate, report, behaviour_map, oracle, benchmark: each a function of config and run;
                   what is stopped goes on from its last snapshot
     config        RunConfig, the root schema   identity   which results are the same
-    sweeping/     a sweep's objective, Optuna search, summary
+    sweeping/     a sweep's objective, Optuna search, summary, results over seeds, learning curves
     __main__      the command line             gym_env    gymnasium's door
 
 One decision (E worlds, V vehicles)
@@ -25,7 +27,7 @@ One decision (E worlds, V vehicles)
     an episode is over
 
 One iteration
-    the stage's task distribution -> collect -> k-step advantage -> ACKTR update -> log -> (stage's end) checkpoint
+    the stage's task distribution -> collect -> advantages -> the algorithm's update -> log -> (stage's end) checkpoint
 """
 
 from pathlib import Path

@@ -30,7 +30,7 @@ import torch
 import torch.nn.functional as F
 from torch import Generator, Tensor, nn
 
-from negopipe.policy.actor_critic import ActorCritic, sample_action
+from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
 from negopipe.schema import Fraction, PositiveFloat, PositiveInt, schema
 
 Layer = nn.Linear | nn.Conv2d
@@ -171,7 +171,7 @@ def fisher_loss(policy: ActorCritic, observation: Tensor, generator: Generator) 
     noise = torch.randn(value.shape, generator=generator, device=value.device)
     target = value.detach() + policy.value_std * noise
     log_likelihood = -0.5 * ((target - value) / policy.value_std).square()
-    return -(log_likelihood + logits.log_softmax(-1).gather(1, action[:, None]).squeeze(1)).sum()
+    return -(log_likelihood + log_prob_of(action, logits.log_softmax(-1))).sum()
 
 
 def kfac_layers(network: nn.Module) -> dict[str, Layer]:

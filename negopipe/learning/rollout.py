@@ -9,7 +9,7 @@ from typing import Protocol
 import torch
 from torch import Generator, Tensor
 
-from negopipe.policy.actor_critic import ActorCritic, sample_action
+from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def collect(
         steps.append(
             {
                 "action": action,
-                "log_prob": logits.log_softmax(-1).gather(1, action[:, None]).squeeze(1),
+                "log_prob": log_prob_of(action, logits.log_softmax(-1)),
                 "reward": transition.reward,
                 "value": value,
                 "is_terminated": transition.is_terminated,

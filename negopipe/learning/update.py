@@ -15,7 +15,7 @@ from pydantic import model_validator
 from torch import Generator, Tensor
 
 from negopipe.learning.advantage import AdvantageConfig
-from negopipe.policy.actor_critic import ActorCritic
+from negopipe.policy.actor_critic import ActorCritic, log_prob_of
 from negopipe.schema import Fraction, NonNegativeFloat, PositiveInt, schema
 
 
@@ -93,7 +93,7 @@ class Outputs:
 
     def log_prob(self, action: Tensor) -> Tensor:
         """log pi(a|s) of the actions [N], [N]."""
-        return self.log_probs.gather(1, action[:, None]).squeeze(1)
+        return log_prob_of(action, self.log_probs)
 
     def first(self, n: int) -> "Outputs":
         """Those of the first n decisions, without a gradient."""

@@ -184,6 +184,11 @@ def sample_action(logits: Tensor, generator: Generator) -> Tensor:
     return torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
 
 
+def log_prob_of(action: Tensor, log_probs: Tensor) -> Tensor:
+    """log pi(a|s) [E] of the actions [E] int64, where log_probs [E, A] has that of every action."""
+    return log_probs.gather(1, action[:, None]).squeeze(1)
+
+
 def greedy_action(logits: Tensor) -> Tensor:
     """The most probable actions [E] int64 of the policy with logits [E, A]."""
     return logits.argmax(-1)
