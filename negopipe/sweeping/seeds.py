@@ -57,7 +57,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def read_episodes(folder: Path, sweep: str | None = None) -> pd.DataFrame:
     """Rows of `negopipe.evaluation.metrics.episodes` of all runs in `folder`, with a column `seed`.
 
-    Raises UserError if no run is evaluated, if two have the same seed or if they drove different tasks.
+    The planners that are not trained drive alike in every run, so one run that has them is enough.
+
+    Raises UserError if no run is evaluated, if two have the same seed or if their policies drove different tasks.
     """
     runs = [run for run in read_runs(folder, sweep) if (folder / run.name / "episodes.csv").exists()]
     if not runs:
@@ -66,11 +68,17 @@ def read_episodes(folder: Path, sweep: str | None = None) -> pd.DataFrame:
     if len(set(seeds)) < len(seeds):
         raise UserError(f"{folder}: must hold one run per seed (--sweep picks some), got seeds {seeds}")
     tables = [pd.read_csv(folder / run.name / "episodes.csv") for run in runs]
-    tasks = [table[["setting", "planner", "episode", "social_start_distance_m", "style_horizon_s"]] for table in tables]
+    tasks = [_tasks(table) for table in tables]
     for run, own in zip(runs[1:], tasks[1:], strict=True):
         if not own.equals(tasks[0]):
             raise UserError(f"{folder}: {run.name} drove other tasks than {runs[0].name}; evaluate them alike")
     return pd.concat([table.assign(seed=seed) for seed, table in zip(seeds, tables, strict=True)], ignore_index=True)
+
+
+def _tasks(episodes: pd.DataFrame) -> pd.DataFrame:
+    """What the policy of one run drove."""
+    columns = ["setting", "episode", "social_start_distance_m", "style_horizon_s"]
+    return episodes.loc[episodes["planner"] == ADAPTIVE, columns].reset_index(drop=True)
 
 
 def by_seed(episodes: pd.DataFrame, oracle: pd.DataFrame | None) -> pd.DataFrame:

@@ -75,6 +75,14 @@ def test_across_seeds(folder: Path) -> None:
     assert "regret" not in table
 
 
+def test_planners_that_are_not_trained_need_only_one_run(folder: Path) -> None:
+    whole = by_style(read_episodes(folder))
+    for path in sorted(folder.glob("seed*/episodes.csv"))[1:]:
+        table = pd.read_csv(path)
+        table[table["planner"] == "adaptive"].to_csv(path, index=False)
+    pd.testing.assert_frame_equal(by_style(read_episodes(folder)), whole)
+
+
 def test_styles_pool_the_seeds_and_compare_on_the_same_tasks(folder: Path) -> None:
     table = by_style(read_episodes(folder)).set_index(["style_s", "planner"])
     assert table.loc[(0.0, "fixed_2"), "success_rate"] == 0
