@@ -2,7 +2,7 @@
 # Ablation: the four algorithms on the paper's two tasks, the same decisions for each; three seeds, none left out.
 # learning_curves.png shows them over decisions and over wall time. The Adam rates are the paper's.
 set -euo pipefail
-python -m negopipe -m +experiment=yield name=ablation_algorithm stages=[train,evaluate] evaluation.fixed_horizons_s=[] \
+python -m negopipe -m +experiment=yield name=ablation_algorithm stages=[train,evaluate] evaluation/rival=[] \
     curriculum.stages.1.n_iterations=160 algorithm=acktr,acktr_adam,a2c,ppo seed=1,2,3
 python -m negopipe.sweeping.learning_curves outputs/ablation_algorithm --by algorithm.kind
 python -m negopipe.sweeping.summary outputs/ablation_algorithm

@@ -11,7 +11,8 @@ The map, from the bottom up (a part imports only what stands above it here):
     learning/     rollout, advantage, curriculum, update (what algorithms share), learner; acktr and acktr_adam
                   (with kfac), a2c and ppo (with adam): tensors only, nothing of the simulator
     chunks, env   the game as batched worlds for the learner
-    evaluation/   drives held-out tasks: planners, episodes, trace, metrics; statistics over tasks and seeds
+    evaluation/   drives held-out tasks: planners, rivals (whom the policy is compared with), episodes, trace,
+                  metrics; statistics over tasks and seeds
     report/       figures, animation, page
     tracking/     what a run tells a store: journal -> delivery -> MLflow; checkpoints, snapshots,
                   the policies that come with negopipe

@@ -17,7 +17,6 @@ from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
 from negopipe.evaluation.oracle import OracleConfig
-from negopipe.evaluation.planners import fixed_name
 from negopipe.evaluation.speed import BenchmarkConfig
 from negopipe.learning.acktr import AcktrConfig
 from negopipe.learning.acktr_adam import AcktrAdamConfig
@@ -153,7 +152,7 @@ def check_components(config: RunConfig) -> None:
 def _check_horizons(config: RunConfig) -> None:
     """Nobody predicts farther than plans reach: a longer horizon would act like H_plan under another name."""
     horizons = {"policy.horizons_s": config.policy.horizons_s}
-    horizons["evaluation.fixed_horizons_s"] = tuple(config.evaluation.fixed_horizons_s)
+    horizons |= {f"evaluation.rivals.{name}": rival.horizons_s for name, rival in config.evaluation.rivals.items()}
     places = {"scenario": config.scenario.families}
     places |= {f"curriculum.stages.{i}": stage.families for i, stage in enumerate(config.curriculum.stages)}
     for place, families in places.items():
@@ -304,9 +303,9 @@ def _stage_needs(config: RunConfig) -> Iterator[_Need]:
         yield _Need("the benchmark", measured * 4, "benchmark.n_worlds observation.n_frames observation.n_cells")
     record = scenario.episode_steps * (1 + scenario.n_social) * RECORD_BYTES
     one = "scenario.episode_steps scenario.n_social"
-    n_planners = 1 + len(config.evaluation.fixed_horizons_s)
+    n_planners = 1 + len(config.evaluation.rivals)
     driven = config.evaluation.n_episodes * n_planners * len(config.evaluation.settings) * record
-    tasks = "evaluation.n_episodes evaluation.settings evaluation.fixed_horizons_s"
+    tasks = "evaluation.n_episodes evaluation.settings evaluation.rivals"
     yield _Need("the evaluation", driven, f"{tasks} {one}")
     if "behaviour_map" in config.stages:
         yield _Need("the map", config.behaviour_map.n_episodes * record, f"behaviour_map.n_episodes {one}")
@@ -319,11 +318,10 @@ def _stage_needs(config: RunConfig) -> Iterator[_Need]:
 def _check_evaluation(config: RunConfig) -> None:
     """What is evaluated, opened with and shown exists."""
     settings = config.evaluation.settings
-    planners = [fixed_name(horizon) for horizon in config.evaluation.fixed_horizons_s]
     _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
     if "report" in config.stages:
-        _require("report.side_by_side", config.report.side_by_side, planners, "evaluation.fixed_horizons_s")
+        _require("report.side_by_side", config.report.side_by_side, config.evaluation.rivals, "evaluation.rivals")
 
 
 def _check_oracle(config: RunConfig) -> None:

@@ -28,6 +28,11 @@ class Driver(Protocol):
         ...
 
 
+MakeDriver = Callable[[Tensor], Driver]
+"""Numbers of E episodes [E] int64, from which what is random may be drawn -> the driver of one seat in them. They start
+together."""
+
+
 class HorizonDriver:
     """Chooses a prediction horizon and lets the planner drive."""
 

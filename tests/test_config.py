@@ -39,7 +39,8 @@ def job_commands() -> list[list[str]]:
 @pytest.mark.parametrize("option", OPTIONS, ids=str)
 def test_every_option_composes_and_builds(option: Path) -> None:
     plus = "+" if option.parts[0] == "experiment" else ""
-    build(f"{plus}{option.parent}={option.name}")
+    alone = ["report.side_by_side=[]"] if option.parent.name == "rival" else []
+    build(f"{plus}{option.parent}={option.name}", *alone)
 
 
 @pytest.mark.parametrize("words", job_commands(), ids=" ".join)
@@ -115,8 +116,8 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["+planner.prediction.hold_s=1.0"], "planner.prediction.hold_s is not a known key, allowed: "),
         (["planner.horizon_s=3.0"], "policy.horizons_s must be at most planner.horizon_s = 3.0, got 6.0"),
         (
-            ["evaluation.fixed_horizons_s=[8.0]", "report.side_by_side=[]"],
-            "evaluation.fixed_horizons_s must be at most planner.horizon_s = 6.0, got 8.0",
+            ["evaluation.rivals.fixed_6.horizon_s=8.0"],
+            "evaluation.rivals.fixed_6 must be at most planner.horizon_s = 6.0, got 8.0",
         ),
         (
             ["curriculum=three_stages", "curriculum.stages.0.families.push.style_horizon_s=[2.0,7.0]"],

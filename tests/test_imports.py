@@ -12,7 +12,7 @@ PACKAGE = Path(negopipe.__file__).parent
 
 FLOORS = (
     ("errors", "schema", "config_errors", "hydra_targets", "seeding", "stored", "nested"),
-    ("simulation.state", "simulation.geometry"),
+    ("simulation.state", "simulation.geometry", "simulation.chance"),
     ("simulation.reference_line", "simulation.verge"),
     (
         "simulation.road",

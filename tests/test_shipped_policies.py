@@ -7,7 +7,7 @@ import torch
 
 from negopipe.evaluation import metrics
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import adaptive_planner
+from negopipe.evaluation.planners import adaptive_planner, by_horizon
 from negopipe.gym_env import compose_config
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.stages.setup import build, load_policy
@@ -26,7 +26,9 @@ def rates(experiment: str, setting: str, n_episodes: int) -> tuple[float, float]
     load_policy(find_checkpoint("pretrained", config), policy, config)
     choose = adaptive_planner(policy, game, config.policy.horizons_s, None)
     tasks, evaluation = held_out_tasks(config, game, setting), config.evaluation
-    trace = drive_episodes(game, choose, tasks, evaluation.n_worlds, evaluation.reward, ("adaptive", setting))
+    trace = drive_episodes(
+        game, by_horizon(game, choose), tasks, evaluation.n_worlds, evaluation.reward, ("adaptive", setting)
+    )
     outcome = metrics.episodes(trace, config.scenario.road.corridor_length_m)["outcome"]
     return (outcome == "success").mean(), (outcome == "collision").mean()
 

@@ -7,11 +7,12 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.driver import ChooseHorizon, Driver, HorizonDriver, drive_together, own_style
+from negopipe.driver import Driver, HorizonDriver, MakeDriver, drive_together, own_style
 from negopipe.env import Game
+from negopipe.evaluation.rivals import RivalConfig
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
-from negopipe.schema import NonNegativeFloat, PositiveInt, Seed, schema
+from negopipe.schema import FileName, PositiveInt, Seed, schema
 from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, where_world
 
@@ -29,36 +30,36 @@ class EvaluationConfig:
     n_traced: PositiveInt
     n_worlds: PositiveInt
     task_seed: Seed
-    fixed_horizons_s: list[NonNegativeFloat]
+    rivals: dict[FileName, RivalConfig]
     action: Literal["most_probable", "sample"]
     reward: RewardConfig
 
 
 def drive_episodes(
     game: Game,
-    choose_horizon: ChooseHorizon,
+    make_ego: MakeDriver,
     tasks: Task,
     n_worlds: int,
     reward_config: RewardConfig,
     names: tuple[str, str],
     is_in_step: bool = False,
 ) -> Trace:
-    """Let the ego drive all `tasks` with `choose_horizon`, `n_worlds` at a time.
+    """Let the ego's driver drive all `tasks`, `n_worlds` at a time.
 
     Outcomes do not depend on `n_worlds`: worlds do not know of each other.
 
     reward_config: what the report counts, whatever the policy was trained with
     names: (planner, family) for the record
-    is_in_step: `choose_horizon` is asked for all worlds of a batch at every decision, also for those whose episode is
-        over; else for the running ones only, which saves their time
+    is_in_step: the driver is asked for all worlds of a batch at every decision, also for those whose episode is over;
+        else for the running ones only, which saves their time
     """
-    ego = HorizonDriver(choose_horizon, game.plan)
-    social = HorizonDriver(own_style, game.plan)
-    drivers: list[Driver] = [ego, *[social] * game.simulator.scenario.n_social]
+    social: list[Driver] = [HorizonDriver(own_style, game.plan)] * game.simulator.scenario.n_social
     batches = [
         map_tensors(lambda field, i=first: field[i : i + n_worlds], tasks) for first in range(0, len(tasks), n_worlds)
     ]
-    parts = [_record(game, drivers, batch, reward_config, is_in_step) for batch in batches]
+    parts = [
+        _record(game, [make_ego(batch.noise_seed), *social], batch, reward_config, is_in_step) for batch in batches
+    ]
     joined = {name: np.concatenate([part[name] for part in parts], axis=EPISODE_AXIS[name]) for name in parts[0]}
     return Trace(planner=names[0], family=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
 

@@ -1,10 +1,10 @@
-"""The ego drivers that are compared: the trained policy, the fixed horizons, and sequences found beforehand."""
+"""How the ego may choose its horizon: by the trained policy, or by a sequence that was found beforehand."""
 
 import torch
 from torch import Generator, Tensor
 
 from negopipe.chunks import InChunks
-from negopipe.driver import ChooseHorizon, fixed_horizon
+from negopipe.driver import ChooseHorizon, HorizonDriver, MakeDriver
 from negopipe.env import Game
 from negopipe.policy.actor_critic import ActorCritic, greedy_action, sample_action
 from negopipe.simulation.perception import Perception
@@ -18,9 +18,9 @@ def fixed_name(horizon_s: float) -> str:
     return f"fixed_{horizon_s:g}"
 
 
-def fixed_planners(horizons_s: list[float]) -> dict[str, ChooseHorizon]:
-    """The planner with one and the same prediction horizon at every decision."""
-    return {fixed_name(horizon_s): fixed_horizon(horizon_s) for horizon_s in horizons_s}
+def by_horizon(game: Game, choose_horizon: ChooseHorizon) -> MakeDriver:
+    """The game's planner with the horizons of `choose_horizon`, the same driver for all episodes."""
+    return lambda chance: HorizonDriver(choose_horizon, game.plan)
 
 
 def adaptive_planner(

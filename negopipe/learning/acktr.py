@@ -47,6 +47,7 @@ class AcktrConfig(UpdateConfig):
     learning_rate: eta_max
     kl_clip: delta of the policy, an upper bound of an update's KL(old || new)
     value_kl_clip: the same for the value, in half squared standard deviations of the return
+        (all three at the start of training; where steps shrink to a share of their length, deltas shrink to its square)
     momentum: mu
     kfac: quality and cost of the Fisher matrix
     """
@@ -111,21 +112,22 @@ class Acktr:
         self.momentum, v = self._direction(gradient)
         value_head = [name for name in v if name.startswith("value_head")]
         others = [name for name in v if not name.startswith("value_head")]
-        value_step = self._move(v, value_head, self.config.value_kl_clip, shrink)
-        policy_step = self._move(v, others, self.config.kl_clip, shrink)
+        bound, value_bound = (shrink**2 * clip for clip in (self.config.kl_clip, self.config.value_kl_clip))
+        value_step = self._move(v, value_head, value_bound, shrink)
+        policy_step = self._move(v, others, bound, shrink)
         moved = measure_kl(self.policy, probe, before)
-        value_share = shortening(moved["value_kl"], self.config.value_kl_clip)
-        policy_share = torch.minimum(shortening(moved["kl"], self.config.kl_clip), value_share)
+        value_share = shortening(moved["value_kl"], value_bound)
+        policy_share = torch.minimum(shortening(moved["kl"], bound), value_share)
         if policy_share < 1:
             self._add(v, value_head, value_step * (1 - value_share))
             self._add(v, others, policy_step * (1 - policy_share))
             moved = measure_kl(self.policy, probe, before)
         return {**moved, "policy_step": policy_step * policy_share, "value_step": value_step * value_share}
 
-    def _move(self, v: dict[str, Tensor], names: list[str], kl_clip: float, shrink: float) -> Tensor:
+    def _move(self, v: dict[str, Tensor], names: list[str], bound: float, shrink: float) -> Tensor:
         """Step along -v in some layers, within a trust region of their own; returns eta."""
         quadratic = inner({n: v[n] for n in names}, {n: self.momentum[n] for n in names})
-        eta = shrink * trust_region_step(quadratic, kl_clip, self.config.learning_rate)
+        eta = trust_region_step(quadratic, bound, shrink * self.config.learning_rate)
         self._add(v, names, -eta)
         return eta
 

@@ -4,7 +4,6 @@ Nothing else reaches a driver, so no driver can use what its vehicle would not h
 plan of the others are not here.
 """
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +11,7 @@ import torch
 from torch import Tensor
 
 from negopipe.schema import Fraction, NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
+from negopipe.simulation.chance import mix, normals, uniform
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.state import VehicleState, World, map_tensors
 
@@ -156,13 +156,13 @@ class Sensor:
         ago = torch.arange(self._n_sightings, device=others.device) + self._delay
         taken = (world.step[:, None] - ago).clamp(min=0)  # before the start the first state is repeated
         viewer = torch.arange(len(others), device=others.device)[:, None]
-        key = _mix(_mix(world.task.noise_seed)[:, None] + taken)
-        return _mix(_mix(key[..., None, None] + viewer) + others)
+        key = mix(mix(world.task.noise_seed)[:, None] + taken)
+        return mix(mix(key[..., None, None] + viewer) + others)
 
     def _is_seen(self, key: Tensor, pose: Tensor, seen: Sightings) -> Tensor:
         """[E, J, V, O] bool: within range of the viewer's true place `pose` [E, J, V, 3], and not dropped."""
         config = self.config
-        is_seen = _uniform(key, channel=4) >= config.dropout_probability
+        is_seen = uniform(key, channel=4) >= config.dropout_probability
         if config.range_m is not None:
             away = seen.pose[..., :2] - pose[..., None, :2]
             is_seen = is_seen & (away.square().sum(-1) <= config.range_m**2)
@@ -170,8 +170,8 @@ class Sensor:
 
     def _with_errors(self, key: Tensor, seen: Sightings) -> Sightings:
         config = self.config
-        x, y = _normals(key, channel=0)
-        yaw, speed = _normals(key, channel=2)
+        x, y = normals(key, channel=0)
+        yaw, speed = normals(key, channel=2)
         true_x, true_y, true_yaw = seen.pose.unbind(-1)
         pose = torch.stack(
             [
@@ -182,30 +182,6 @@ class Sensor:
             dim=-1,
         )
         return seen._replace(pose=pose, speed=(seen.speed + config.speed_std_mps * speed).clamp(min=0))
-
-
-def _mix(number: Tensor) -> Tensor:
-    """A hash of int64 numbers >= 0 into [0, 2^32): neighbours come out unlike; one to one below 2^32.
-
-    Two rounds of xor-shift and multiply. Factors are below 2^31, so that no product exceeds 63 bits.
-    """
-    low_bits = 0xFFFFFFFF
-    number = (number + 0x1E3779B9) & low_bits
-    for factor in (0x7FEB352D, 0x21F0AAAD):
-        number = ((number ^ (number >> 16)) * factor) & low_bits
-    return number ^ (number >> 15)
-
-
-def _uniform(key: Tensor, channel: int) -> Tensor:
-    """Hashed numbers in (0, 1), float32, with the shape of `key`; channels are independent."""
-    return ((_mix(key + channel) >> 9) + 0.5) * 2.0**-23
-
-
-def _normals(key: Tensor, channel: int) -> tuple[Tensor, Tensor]:
-    """Two independent standard normal numbers per key, of channels `channel` and the next (Box and Muller 1958)."""
-    radius = torch.sqrt(-2 * torch.log(_uniform(key, channel)))
-    angle = 2 * math.pi * _uniform(key, channel + 1)
-    return radius * torch.cos(angle), radius * torch.sin(angle)
 
 
 def other_columns(n_vehicles: int, device: torch.device | str = "cpu") -> Tensor:

@@ -10,7 +10,7 @@ from negopipe.driver import fixed_horizon
 from negopipe.env import Game, build_game
 from negopipe.evaluation.behaviour_map import cell, claims, findings
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import fixed_name
+from negopipe.evaluation.planners import by_horizon, fixed_name
 from negopipe.evaluation.trace import Trace
 from negopipe.report.behaviour_map import behaviour_map, reading
 from negopipe.report.figures import render
@@ -68,7 +68,12 @@ def map_tasks(config: "RunConfig", game: Game, setting: str, style_s: float) -> 
 def _drive(config: "RunConfig", game: Game, tasks: Task, horizon_s: float, setting: str) -> Trace:
     names = (fixed_name(horizon_s), setting)
     return drive_episodes(
-        game, fixed_horizon(horizon_s), tasks, config.evaluation.n_worlds, config.evaluation.reward, names
+        game,
+        by_horizon(game, fixed_horizon(horizon_s)),
+        tasks,
+        config.evaluation.n_worlds,
+        config.evaluation.reward,
+        names,
     )
 
 

@@ -1,19 +1,22 @@
-"""The evaluate stage: the policy and the fixed horizons on the same held-out tasks."""
+"""The evaluate stage: the policy and the planners that it is compared with, on the same held-out tasks."""
 
 import logging
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import pandas as pd
 
+from negopipe.driver import MakeDriver
 from negopipe.env import Game
 from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import adaptive_planner, fixed_planners
-from negopipe.evaluation.trace import ADAPTIVE, save_traces
+from negopipe.evaluation.planners import adaptive_planner, by_horizon
+from negopipe.evaluation.trace import ADAPTIVE, Trace, save_traces
+from negopipe.policy.actor_critic import ActorCritic
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler, pair_styles
-from negopipe.simulation.state import Task
+from negopipe.simulation.state import Task, map_tensors
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, device_of, load_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
@@ -27,23 +30,26 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 
+class _Planner(NamedTuple):
+    """Who is evaluated. n_episodes: on the first so many tasks, None = all; is_in_step: see `drive_episodes`."""
+
+    make_ego: MakeDriver
+    n_episodes: int | None = None
+    is_in_step: bool = False
+
+
 def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Drive every planner through every setting; writes episodes.csv, traces.npz and metrics.json."""
     checkpoint = _checkpoint(config, run)
     game, policy = build(config)
     load_policy(checkpoint, policy, config)
-    device = device_of(config)
-    is_drawn = config.evaluation.action == "sample"
-    sampling = generator(config.seed, "evaluation actions", device) if is_drawn else None
-    planners = {ADAPTIVE: adaptive_planner(policy, game, config.policy.horizons_s, sampling)}
-    planners |= fixed_planners(config.evaluation.fixed_horizons_s)
+    planners = _planners(config, game, policy)
     traces, tables = [], []
     with ProgressLine("evaluate", len(planners) * len(config.evaluation.settings)) as progress:
         for setting in config.evaluation.settings:
             tasks = held_out_tasks(config, game, setting)
-            for name, choose in planners.items():
-                n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
-                trace = drive_episodes(game, choose, tasks, n_worlds, paid, (name, setting))
+            for name, planner in planners.items():
+                trace = _drive(config, game, planner, tasks, (name, setting))
                 tables.append(metrics.episodes(trace, config.scenario.road.corridor_length_m))
                 traces.append(trace.first(config.evaluation.n_traced))
                 progress.advance(f"{setting}, {name}")
@@ -55,6 +61,24 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     run.log_artifact(run.folder / "episodes.csv")
     run.log_metrics(_scalars(summary), step=0)
     _say(summary)
+
+
+def _planners(config: "RunConfig", game: Game, policy: ActorCritic) -> dict[str, _Planner]:
+    """The policy and its rivals, by name."""
+    is_drawn = config.evaluation.action == "sample"
+    sampling = generator(config.seed, "evaluation actions", device_of(config)) if is_drawn else None
+    choose = adaptive_planner(policy, game, config.policy.horizons_s, sampling)
+    rivals = {
+        name: _Planner(partial(rival.driver, game), rival.n_episodes, rival.is_in_step)
+        for name, rival in config.evaluation.rivals.items()
+    }
+    return {ADAPTIVE: _Planner(by_horizon(game, choose)), **rivals}
+
+
+def _drive(config: "RunConfig", game: Game, planner: _Planner, tasks: Task, names: tuple[str, str]) -> Trace:
+    driven = map_tensors(lambda field: field[: planner.n_episodes], tasks)
+    n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
+    return drive_episodes(game, planner.make_ego, driven, n_worlds, paid, names, planner.is_in_step)
 
 
 def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:

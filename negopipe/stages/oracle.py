@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 import torch
 
-from negopipe.driver import ChooseHorizon
+from negopipe.driver import ChooseHorizon, fixed_horizon
 from negopipe.env import Game, build_game
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes, running, summary
 from negopipe.evaluation.oracle import Rollouts, Sequences, best_simple, improve
-from negopipe.evaluation.planners import fixed_name, fixed_planners, sequence_planner
+from negopipe.evaluation.planners import by_horizon, fixed_name, sequence_planner
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.seeding import generator
 from negopipe.simulation.state import EGO, Task, map_tensors
@@ -93,19 +93,18 @@ def play(config: "RunConfig", game: Game, tasks: Task, best: Sequences, setting:
     """The record of the sequences `best` [N], driven like every planner."""
     horizons = torch.tensor(config.policy.horizons_s, device=best.actions.device)
     choose, paid = sequence_planner(horizons[best.actions.T]), config.evaluation.reward
-    return drive_episodes(game, choose, tasks, len(tasks), paid, (ORACLE, setting), is_in_step=True)
+    return drive_episodes(game, by_horizon(game, choose), tasks, len(tasks), paid, (ORACLE, setting), is_in_step=True)
 
 
 def fixed_episodes(config: "RunConfig", game: Game, tasks: Task, setting: str) -> dict[float, pd.DataFrame]:
     """`metrics.episodes` of each fixed horizon among the ego's choices."""
     horizons_s, length_m = list(config.policy.horizons_s), config.scenario.road.corridor_length_m
-    planners = fixed_planners(horizons_s)
-    traces = {h: _drive(config, game, planners[fixed_name(h)], tasks, (fixed_name(h), setting)) for h in horizons_s}
+    traces = {h: _drive(config, game, fixed_horizon(h), tasks, (fixed_name(h), setting)) for h in horizons_s}
     return {h: episodes(trace, length_m) for h, trace in traces.items()}
 
 
 def _drive(config: "RunConfig", game: Game, choose: ChooseHorizon, tasks: Task, names: tuple[str, str]) -> Trace:
-    return drive_episodes(game, choose, tasks, len(tasks), config.evaluation.reward, names)
+    return drive_episodes(game, by_horizon(game, choose), tasks, len(tasks), config.evaluation.reward, names)
 
 
 def table(own: pd.DataFrame, fixed: dict[float, pd.DataFrame]) -> pd.DataFrame:

@@ -6,7 +6,7 @@ tables and writes them to `outputs/sweeps/<name>/`:
 seeds.csv   a row per seed, setting and planner: rates with Wilson intervals, reward, regret to the oracle
 across.csv  a row per setting and planner: interquartile means across seeds, with bootstrap intervals
 styles.csv  a row per setting, style of the other driver and planner, seeds pooled; the policy's success less the
-            planner's on the same tasks
+            planner's on the same tasks, and the regret
 """
 
 import argparse
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     target = given.folder.parent / "sweeps" / (given.sweep or given.folder.name)
     target.mkdir(parents=True, exist_ok=True)
-    for name, table in {"seeds": seeds, "across": across_seeds(seeds), "styles": by_style(episodes)}.items():
+    for name, table in {"seeds": seeds, "across": across_seeds(seeds), "styles": by_style(episodes, oracle)}.items():
         table.to_csv(target / f"{name}.csv", index=False)
         _show(table)
         print(f"{name:10} {target / name}.csv")
@@ -118,29 +118,34 @@ def across_seeds(seeds: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def by_style(episodes: pd.DataFrame) -> pd.DataFrame:
+def by_style(episodes: pd.DataFrame, oracle: pd.DataFrame | None = None) -> pd.DataFrame:
     """One row per setting, style and planner, over all seeds, and one for all styles together.
 
     success_rate, collision_rate: shares. lead with _low and _high: the policy's success rate less the planner's, on
-    the same tasks, paired bootstrap over tasks (a task's success is its share among the seeds)
+    the same tasks, paired bootstrap over tasks (a task's success is its share among the seeds). regret, as in
+    `by_seed`, of a task's mean reward among the seeds
     """
     rng = np.random.default_rng(RANDOM_SEED)
     return pd.DataFrame(
         {"setting": setting, "style_s": style, **row}
         for setting, part in episodes.groupby("setting", sort=False)
         for style, tasks in [*part.groupby("style_horizon_s"), ("all", part)]
-        for row in _styles_rows(tasks, rng)
+        for row in _styles_rows(tasks, None if oracle is None else oracle[oracle["setting"] == setting], rng)
     )
 
 
-def _styles_rows(tasks: pd.DataFrame, rng: np.random.Generator) -> Iterator[dict]:
+def _styles_rows(tasks: pd.DataFrame, oracle: pd.DataFrame | None, rng: np.random.Generator) -> Iterator[dict]:
     hits = {o: tasks.assign(hit=tasks["outcome"] == o).pivot_table("hit", "episode", "planner") for o in RATES}
     success = hits["success"]
     for planner in tasks["planner"].unique():
-        row = {"planner": planner, "n_tasks": len(success)}
+        row = {"planner": planner, "n_tasks": int(success[planner].count())}
         row |= {name: hits[outcome][planner].mean() for outcome, name in RATES.items()}
         if planner != ADAPTIVE and ADAPTIVE in success:
-            row |= _named("lead", mean_difference(success[ADAPTIVE].to_numpy(), success[planner].to_numpy(), rng))
+            both = success[[ADAPTIVE, planner]].dropna()  # some planners drive the first tasks only
+            row |= _named("lead", mean_difference(both[ADAPTIVE].to_numpy(), both[planner].to_numpy(), rng))
+        if oracle is not None:
+            own = tasks[tasks["planner"] == planner].groupby("episode", as_index=False)
+            row |= _regret(own[["reward", "social_start_distance_m"]].mean(), oracle, rng)
         yield row
 
 
@@ -150,7 +155,7 @@ def _regret(part: pd.DataFrame, oracle: pd.DataFrame, rng: np.random.Generator) 
         return {}
     is_same = np.isclose(both["social_start_distance_m"], both["social_start_distance_m_oracle"], atol=1e-3)
     if not is_same.all():
-        setting = part["setting"].iloc[0]
+        setting = oracle["setting"].iloc[0]
         raise UserError(f"--oracle must be of the same tasks, got others in {setting} (evaluation.task_seed, scenario)")
     regret = mean_difference(both["reward_oracle"].to_numpy(), both["reward"].to_numpy(), rng)
     return {**_named("regret", regret), "n_regret_tasks": len(both)}

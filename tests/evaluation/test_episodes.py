@@ -11,7 +11,7 @@ from negopipe.config import RunConfig
 from negopipe.driver import fixed_horizon
 from negopipe.env import Game
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import adaptive_planner, fixed_planners
+from negopipe.evaluation.planners import adaptive_planner, by_horizon
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.policy.actor_critic import grid_actor_critic
 from negopipe.simulation.state import Task
@@ -26,7 +26,9 @@ def task_with(config: RunConfig, distance_m: float, style_s: float, n: int = 1) 
 
 def drive(config: RunConfig, game: Game, task: Task, horizon_s: float, n_worlds: int) -> Trace:
     reward = config.evaluation.reward
-    return drive_episodes(game, fixed_horizon(horizon_s), task, n_worlds, reward, (f"fixed_{horizon_s:g}", "x"))
+    return drive_episodes(
+        game, by_horizon(game, fixed_horizon(horizon_s)), task, n_worlds, reward, (f"fixed_{horizon_s:g}", "x")
+    )
 
 
 @pytest.mark.parametrize(
@@ -93,18 +95,13 @@ def test_adaptive_planner_looks_at_the_grids(config: RunConfig, game: Game) -> N
     task = task_with(config, 17.5, 6.0)
     choose = adaptive_planner(policy, game, config.policy.horizons_s, sampling=None)
     reward = config.evaluation.reward
-    adaptive = drive_episodes(game, choose, task, 1, reward, ("adaptive", "x"))
+    adaptive = drive_episodes(game, by_horizon(game, choose), task, 1, reward, ("adaptive", "x"))
     fixed = drive(config, game, task, 4.0, 1)
     assert np.array_equal(adaptive.position_m, fixed.position_m)
     with torch.no_grad():
         policy.policy_head[-1].bias.zero_()
     sampling = torch.Generator().manual_seed(0)
-    drawn = drive_episodes(
-        game, adaptive_planner(policy, game, config.policy.horizons_s, sampling), task, 1, reward, ("adaptive", "x")
-    )
+    choose = adaptive_planner(policy, game, config.policy.horizons_s, sampling)
+    drawn = drive_episodes(game, by_horizon(game, choose), task, 1, reward, ("adaptive", "x"))
     n = int(drawn.n_steps[0])
     assert set(drawn.horizon_s[:n, 0, 0].tolist()) == {0.0, 2.0, 4.0, 6.0}
-
-
-def test_fixed_planners_are_named_for_their_horizon(config: RunConfig) -> None:
-    assert list(fixed_planners(config.evaluation.fixed_horizons_s)) == ["fixed_0", "fixed_2", "fixed_4", "fixed_6"]

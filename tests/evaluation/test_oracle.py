@@ -14,7 +14,7 @@ from negopipe.env import Game
 from negopipe.evaluation import oracle
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.oracle import Rollouts, Sequences, alike, best_simple, candidates, improve
-from negopipe.evaluation.planners import sequence_planner
+from negopipe.evaluation.planners import by_horizon, sequence_planner
 from negopipe.simulation.state import Task, map_tensors
 
 POPULATION = 4
@@ -84,7 +84,9 @@ def test_it_drives_what_it_claims(config: RunConfig, game: Game, found: list[Seq
     best = found[-1]
     horizon_s = torch.tensor(config.policy.horizons_s)[best.actions.T]
     names = ("oracle", "mixture")
-    trace = drive_episodes(game, sequence_planner(horizon_s), tasks, len(tasks), config.evaluation.reward, names)
+    trace = drive_episodes(
+        game, by_horizon(game, sequence_planner(horizon_s)), tasks, len(tasks), config.evaluation.reward, names
+    )
     assert trace.reward.sum(0).tolist() == best.reward.tolist()
     assert trace.n_steps.tolist() == best.n_steps.tolist()
     for task, n in enumerate(trace.n_steps):

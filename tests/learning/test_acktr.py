@@ -56,6 +56,18 @@ def test_measured_kl_keeps_to_the_clips() -> None:
     assert max(m["kl"] for m in metrics) > 0.0005
 
 
+def test_trust_regions_shrink_with_the_steps() -> None:
+    """The measured KL is what binds, so steps of half the length need a bound of a quarter."""
+    config = config_of("acktr", "algorithm.kl_clip=0.002", "algorithm.final_step_share=0.5")
+    learner = Learner(network(), config, Generator().manual_seed(2))
+    for _ in range(10):
+        early = learner.update(a_rollout(), 0.0)
+    late = learner.update(a_rollout(), 1.0)
+    assert 0.25 * 0.002 * 1.3 < early["kl"] < 0.002 * 1.3
+    assert 0 < late["kl"] < 0.25 * 0.002 * 1.3
+    assert 0 < late["value_kl"] < 0.25 * config.value_kl_clip * 1.3
+
+
 def test_shortening_makes_a_quadratic_kl_fit() -> None:
     kl = torch.tensor([0.0, 0.5, 4.0, torch.nan, torch.inf])
     share = shortening(kl, 1.0)

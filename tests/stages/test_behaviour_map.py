@@ -26,6 +26,7 @@ from negopipe.evaluation.behaviour_map import (
 )
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes
+from negopipe.evaluation.planners import by_horizon
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.gym_env import compose_config
 from negopipe.report.behaviour_map import behaviour_map as draw
@@ -123,7 +124,7 @@ def test_rows_agree_with_the_drives(ran: RecordedRun) -> None:
     for row in table[table["setting"] == "push"].to_dict("records"):
         tasks = behaviour_map.map_tasks(config, game, "push", row["social_style_s"])
         choose = fixed_horizon(row["ego_horizon_s"])
-        trace = drive_episodes(game, choose, tasks, 1, config.evaluation.reward, ("again", "push"))
+        trace = drive_episodes(game, by_horizon(game, choose), tasks, 1, config.evaluation.reward, ("again", "push"))
         again = episodes(trace, config.scenario.road.corridor_length_m)
         shares = again["outcome"].value_counts(normalize=True)
         for outcome, name in columns.items():

@@ -94,7 +94,7 @@ def test_evaluation_alone_from_a_checkpoint(outputs: Path, tmp_path: Path) -> No
         "n_threads=1",
         "stages=[evaluate]",
         f"checkpoint={checkpoint}",
-        "evaluation.fixed_horizons_s=[]",
+        "evaluation/rival=[]",
     )
     assert done.returncode == 0, done.stderr
     first, again = (json.loads((only_run(o) / "metrics.json").read_text()) for o in (outputs, tmp_path))

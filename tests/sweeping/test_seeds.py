@@ -75,6 +75,16 @@ def test_across_seeds(folder: Path) -> None:
     assert "regret" not in table
 
 
+def test_the_regret_of_a_style_is_over_its_tasks(folder: Path) -> None:
+    oracle = pd.read_csv(folder.parent / "oracle.csv")
+    table = by_style(read_episodes(folder), oracle).set_index(["style_s", "planner"])
+    # of tasks 0, 2, .. 8 (style 0) seed 1 pays 0.5 too much; 2 fails in task 0, else 1.5; 3 in tasks 0 and 2, else 2.5
+    per_task = [(0.5 + 7.5 + 7.5) / 3, (0.5 + 1.5 + 7.5) / 3, *3 * [(0.5 + 1.5 + 2.5) / 3]]
+    assert table.loc[(0.0, "adaptive"), "regret"] == pytest.approx(np.mean(per_task))
+    assert table.loc[(0.0, "adaptive"), "n_regret_tasks"] == 5
+    assert table.loc[("all", "adaptive"), "n_regret_tasks"] == 10
+
+
 def test_planners_that_are_not_trained_need_only_one_run(folder: Path) -> None:
     whole = by_style(read_episodes(folder))
     for path in sorted(folder.glob("seed*/episodes.csv"))[1:]:

@@ -1,0 +1,25 @@
+"""One and the same prediction horizon at every decision: the paper's baselines."""
+
+from typing import Literal
+
+from torch import Tensor
+
+from negopipe.driver import HorizonDriver, fixed_horizon
+from negopipe.env import Game
+from negopipe.evaluation.rival import Rival
+from negopipe.schema import NonNegativeFloat, schema
+
+
+@schema
+class Config(Rival):
+    """horizon_s: how far ahead the other is predicted; 0 = it is ignored."""
+
+    kind: Literal["fixed"]
+    horizon_s: NonNegativeFloat
+
+    @property
+    def horizons_s(self) -> tuple[float, ...]:
+        return (self.horizon_s,)
+
+    def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
+        return HorizonDriver(fixed_horizon(self.horizon_s), game.plan)

@@ -1,0 +1,36 @@
+"""A horizon drawn anew now and then, whatever the other does: what a policy must beat to have learnt anything."""
+
+from typing import Annotated, ClassVar, Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from negopipe.driver import HorizonDriver
+from negopipe.env import Game
+from negopipe.evaluation.planners import sequence_planner
+from negopipe.evaluation.rival import Rival
+from negopipe.schema import NonNegativeFloat, PositiveFloat, schema
+from negopipe.simulation.chance import mix
+
+
+@schema
+class Config(Rival):
+    """horizons: s, each equally likely. keep_s: for how long one is kept."""
+
+    kind: Literal["random"]
+    horizons: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
+    keep_s: PositiveFloat
+
+    is_in_step: ClassVar[bool] = True
+
+    @property
+    def horizons_s(self) -> tuple[float, ...]:
+        return self.horizons
+
+    def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
+        scenario = game.simulator.scenario
+        n_kept = max(1, round(self.keep_s / scenario.dt_s))
+        draw = torch.arange(scenario.episode_steps, device=chance.device) // n_kept
+        choice = mix(mix(mix(chance)) + draw[:, None]) % len(self.horizons)
+        return HorizonDriver(sequence_planner(torch.tensor(self.horizons, device=chance.device)[choice]), game.plan)
