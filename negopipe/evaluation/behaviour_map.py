@@ -9,16 +9,13 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-import torch
 from pydantic import AfterValidator, Field
-from torch import Tensor
 
 from negopipe.evaluation.metrics import episodes
+from negopipe.evaluation.safety import footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.schema import NonNegativeFloat, PositiveInt, schema
-from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
 from negopipe.simulation.scenario import VehicleConfig
-from negopipe.simulation.state import EGO
 
 
 def _are_different(values: list[float]) -> list[float]:
@@ -49,7 +46,7 @@ def cell(
     ego_time_s, social_time_s: until the target was reached, means over arrivals; NaN if nobody arrived
     suspend_count, suspend_time_s: of the ego, means over all episodes
     ego_passes_first_rate: share of the episodes in which anyone passed first; NaN if nobody ever did
-    smallest_gap_m: see `smallest_gap`, mean over all episodes
+    smallest_gap_m: see `safety`, mean over all episodes
     full_braking_rate: share of the ego's decisions in which no feasible plan existed
     """
     rows = episodes(trace, corridor_length_m)
@@ -69,45 +66,9 @@ def cell(
         "suspend_count": float(rows["suspend_count"].mean()),
         "suspend_time_s": float(rows["suspend_time_s"].mean()),
         "ego_passes_first_rate": float((first == "ego").mean()),
-        "smallest_gap_m": float(smallest_gap(trace, vehicle).mean()),
+        "smallest_gap_m": float(smallest_gap(footprints(trace, vehicle)).mean()),
         "full_braking_rate": float(rows["full_braking_count"].sum() / rows["n_decisions"].sum()),
     }
-
-
-def smallest_gap(trace: Trace, vehicle: VehicleConfig) -> np.ndarray:
-    """[E] float64, m: smallest distance between the ego's footprint and a social one's; 0 where they collide."""
-    x, y = torch.from_numpy(trace.position_m).double().unbind(-1)
-    boxes = boxes_from_pose(x, y, torch.from_numpy(trace.yaw_rad).double(), vehicle.length_m, vehicle.width_m)
-    ego, social = _seats(boxes, slice(EGO, EGO + 1)), _seats(boxes, slice(EGO + 1, None))
-    return box_distance(ego, social).amin((0, 2)).numpy()
-
-
-def _seats(boxes: Boxes, seats: slice) -> Boxes:
-    return boxes._replace(
-        x=boxes.x[..., seats], y=boxes.y[..., seats], cos=boxes.cos[..., seats], sin=boxes.sin[..., seats]
-    )
-
-
-def box_distance(a: Boxes, b: Boxes) -> Tensor:
-    """Distance between oriented rectangles, [...] m, 0 where they overlap.
-
-    Of two rectangles that are apart, one has a corner among the two nearest points.
-    """
-    apart = torch.minimum(_distance_from_corners(a, b), _distance_from_corners(b, a))
-    return torch.where(overlap_depth(a, b) > 0, 0.0, apart)
-
-
-def _distance_from_corners(a: Boxes, b: Boxes) -> Tensor:
-    """[...] m: of the corner of `a` that is nearest to the rectangle `b`."""
-    nearest = torch.tensor(torch.inf, dtype=a.x.dtype)
-    for ahead, left in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        along_a, across_a = ahead * a.half_length, left * a.half_width
-        dx = a.x + along_a * a.cos - across_a * a.sin - b.x
-        dy = a.y + along_a * a.sin + across_a * a.cos - b.y
-        along_b = ((dx * b.cos + dy * b.sin).abs() - b.half_length).clamp(min=0)
-        across_b = ((dy * b.cos - dx * b.sin).abs() - b.half_width).clamp(min=0)
-        nearest = torch.minimum(nearest, torch.hypot(along_b, across_b))
-    return nearest
 
 
 HOLDS, FAILS, EQUAL, UNKNOWN = "holds", "does not hold", "no difference", "cannot be told"

@@ -17,6 +17,10 @@ NEAREST = 1
 """Column of the social vehicle that starts nearest to the corridor."""
 
 
+SAFETY = ("smallest_gap_m", "smallest_ttc_s", "largest_decel_mps2", "largest_jerk_mps3")
+"""Columns of `negopipe.evaluation.safety` whose means are told."""
+
+
 def episodes(trace: Trace, corridor_length_m: float) -> pd.DataFrame:
     """One row per episode.
 
@@ -111,7 +115,10 @@ def summary(table: pd.DataFrame) -> dict[str, Any]:
 
     success_rate, collision_rate, deadlock_rate, timeout_rate (deadlocks included), arrival_rate (the ego
     reached its target): shares of the episodes. driving_time_s: mean over arrivals, None if there are none.
-    suspend_count, suspend_time_s, reward: means over all episodes. n_episodes.
+    suspend_count, suspend_time_s, reward: means over all episodes. n_episodes. Of tables with the columns of
+    `negopipe.evaluation.safety` also smallest_gap_m, smallest_ttc_s, largest_decel_mps2 and largest_jerk_mps3, means
+    over the episodes that have one, and avoidable_rate: the share of all episodes that end in a collision which the
+    ego could have avoided.
     """
     evaluation: dict[str, dict[str, Any]] = {}
     for (setting, planner), rows in table.groupby(["setting", "planner"], sort=False):
@@ -133,7 +140,18 @@ def _measures(rows: pd.DataFrame) -> dict[str, float | int | None]:
         "suspend_time_s": float(rows["suspend_time_s"].mean()),
         "reward": float(rows["reward"].mean()),
         "n_episodes": len(rows),
+        **({name: _mean(rows[name]) for name in SAFETY} if set(SAFETY) <= set(rows) else {}),
+        **(
+            {"avoidable_rate": float(rows["avoidable_by"].isin(["ego", "both"]).mean())}
+            if "avoidable_by" in rows
+            else {}
+        ),
     }
+
+
+def _mean(values: pd.Series) -> float | None:
+    known = values.dropna()
+    return float(known.mean()) if len(known) else None
 
 
 def _mean_over(values: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.planners import adaptive_planner, by_horizon
+from negopipe.evaluation.safety import safety
 from negopipe.evaluation.trace import ADAPTIVE, Trace, save_traces
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.seeding import generator
@@ -50,7 +51,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
             tasks = held_out_tasks(config, game, setting)
             for name, planner in planners.items():
                 trace = _drive(config, game, planner, tasks, (name, setting))
-                tables.append(metrics.episodes(trace, config.scenario.road.corridor_length_m))
+                tables.append(_rows(config, trace))
                 traces.append(trace.first(config.evaluation.n_traced))
                 progress.advance(f"{setting}, {name}")
     table = pd.concat(tables, ignore_index=True)
@@ -86,6 +87,12 @@ def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
     stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
     families = pair_styles(config.scenario.families, config.scenario.pairing)
     return TaskSampler(config.scenario, {setting: families[setting]}, stream).draw(config.evaluation.n_episodes)
+
+
+def _rows(config: "RunConfig", trace: Trace) -> pd.DataFrame:
+    """All that is measured, one row per episode."""
+    driven = metrics.episodes(trace, config.scenario.road.corridor_length_m)
+    return driven.join(safety(trace, config.scenario.vehicle, config.planner.limits.full_braking_mps2))
 
 
 def _checkpoint(config: "RunConfig", run: "TrackedRun") -> "Path":

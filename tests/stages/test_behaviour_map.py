@@ -1,10 +1,9 @@
-"""The behaviour map: exact gaps, rows that agree with the drives, verdicts by hand, options that act."""
+"""The behaviour map: rows that agree with the drives, verdicts by hand, options that act."""
 
 import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 import torch
@@ -19,20 +18,17 @@ from negopipe.evaluation.behaviour_map import (
     FAILS,
     HOLDS,
     UNKNOWN,
-    box_distance,
     claims,
     findings,
-    smallest_gap,
 )
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes
 from negopipe.evaluation.planners import by_horizon
-from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.evaluation.safety import footprints, smallest_gap
+from negopipe.evaluation.trace import OUTCOMES
 from negopipe.gym_env import compose_config
 from negopipe.report.behaviour_map import behaviour_map as draw
 from negopipe.report.behaviour_map import reading
-from negopipe.simulation.geometry import Boxes, boxes_from_pose
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.stages import behaviour_map
 from negopipe.stages.evaluate import held_out_tasks
 
@@ -49,61 +45,6 @@ TINY = (
 
 def tiny(*overrides: str) -> RunConfig:
     return compose_config(["device=cpu", *TINY, *overrides])
-
-
-def box(x: float, y: float, yaw: float) -> Boxes:
-    pose = (torch.tensor(value, dtype=torch.float64) for value in (x, y, yaw))
-    return boxes_from_pose(*pose, length=4.0, width=2.0)
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "yaw", "distance"),
-    [
-        (7.0, 0.0, 0.0, 3.0),  # bumper to bumper
-        (1.0, -2.5, math.pi, 0.5),  # side by side
-        (7.0, 6.0, 0.0, 5.0),  # corner to corner: 3 ahead, 4 aside
-        (6.0, 0.0, math.pi / 2, 3.0),  # across the road
-        (2.0 + math.sqrt(2) * 1.5 + 1.0, 0.0, math.pi / 4, 1.0),  # its corner towards this bumper
-        (3.9, 0.0, 0.0, 0.0),
-        (0.0, 0.0, math.pi / 2, 0.0),  # a cross: no corner of one lies in the other
-    ],
-)
-def test_distance_of_hand_placed_rectangles(x: float, y: float, yaw: float, distance: float) -> None:
-    here, there = box(0, 0, 0), box(x, y, yaw)
-    assert box_distance(here, there).item() == pytest.approx(distance, abs=1e-12)
-    assert box_distance(there, here).item() == pytest.approx(distance, abs=1e-12)
-
-
-def make_trace(social_x_m: list[list[float]]) -> Trace:
-    """One episode; the ego stands at the origin, the social vehicles [T+1, V-1] ahead of it, turned around."""
-    x = np.pad(np.float32(social_x_m), ((0, 0), (1, 0)))[:, None]
-    n, _, n_vehicles = x.shape
-    facing = np.float32([0.0, *[np.pi] * (n_vehicles - 1)])
-    return Trace(
-        planner="fixed_0",
-        family="push",
-        dt_s=0.2,
-        start_distance_m=np.zeros((1, n_vehicles)),
-        style_horizon_s=np.zeros((1, n_vehicles)),
-        position_m=np.stack([x, np.zeros_like(x)], -1),
-        yaw_rad=np.broadcast_to(facing, x.shape).copy(),
-        speed_mps=np.zeros_like(x),
-        progress_m=x,
-        horizon_s=np.zeros((n - 1, 1, n_vehicles)),
-        is_full_braking=np.zeros((n - 1, 1, n_vehicles), dtype=bool),
-        reward=np.zeros((n - 1, 1)),
-        n_steps=np.array([n - 1]),
-        reached_step=np.full((1, n_vehicles), -1),
-        outcome=np.array([3]),
-    )
-
-
-@pytest.mark.parametrize(
-    ("social_x_m", "gap_m"), [([[20.0, 40.0], [9.0, 30.0], [12.0, 8.0]], 4.0), ([[9.0], [3.0], [9.0]], 0.0)]
-)
-def test_smallest_gap_is_over_time_and_all_social_vehicles(social_x_m: list[list[float]], gap_m: float) -> None:
-    gap = smallest_gap(make_trace(social_x_m), VehicleConfig(length_m=4.0, width_m=2.0))
-    assert gap.tolist() == pytest.approx([gap_m], abs=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +74,7 @@ def test_rows_agree_with_the_drives(ran: RecordedRun) -> None:
             assert row[name] == pytest.approx(again[name].mean(), nan_ok=True), name
         first = again.loc[again["passes_first"] != "none", "passes_first"]
         assert row["ego_passes_first_rate"] == pytest.approx((first == "ego").mean(), nan_ok=True)
-        assert row["smallest_gap_m"] == pytest.approx(smallest_gap(trace, config.scenario.vehicle).mean())
+        assert row["smallest_gap_m"] == pytest.approx(smallest_gap(footprints(trace, config.scenario.vehicle)).mean())
         assert row["full_braking_rate"] == trace.is_full_braking[:, :, 0].sum() / trace.n_steps.sum()
         assert row["n_episodes"] == 2
     assert table["success_rate"].any()

@@ -1,0 +1,191 @@
+"""How close it was, how hard the ego drove, and who could have avoided a collision; from the record of the drives.
+
+Axes as in `Trace`: T decisions, E episodes, V vehicles (column 0 is the ego).
+"""
+
+import numpy as np
+import pandas as pd
+import torch
+from torch import Tensor
+
+from negopipe.evaluation.metrics import running
+from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
+from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.state import AT_REST_MPS, EGO
+
+AVOIDING_S = 2.0
+"""So long before a collision someone who could have avoided it would have begun to brake."""
+
+
+def safety(trace: Trace, vehicle: VehicleConfig, braking_mps2: float) -> pd.DataFrame:
+    """One row per episode.
+
+    smallest_gap_m: between the ego's footprint and a social one's; 0 where they collide
+    smallest_ttc_s: smallest time to collision with a social vehicle if both kept their velocity; NaN if they never
+        were on a course of collision
+    largest_decel_mps2, largest_jerk_mps3: of the ego, by differences of its speed from decision to decision; the jerk
+        either way
+    avoidable_by: ego | social | both | nobody: who, if it moved at all, would have come to rest without touching the
+        other by braking on its path with `braking_mps2` from 2 s before; the other drives as it did and then straight
+        on (to be hit at rest is not one's own doing). alone: the ego touched no vehicle; none: no collision
+    """
+    boxes = footprints(trace, vehicle)
+    is_driven = np.concatenate([np.ones_like(trace.n_steps[None], bool), running(trace)])
+    decel, jerk = _hardness(trace)
+    return pd.DataFrame(
+        {
+            "smallest_gap_m": smallest_gap(boxes),
+            "smallest_ttc_s": smallest_ttc(trace, boxes, is_driven),
+            "largest_decel_mps2": decel,
+            "largest_jerk_mps3": jerk,
+            "avoidable_by": avoidable_by(trace, vehicle, braking_mps2),
+        }
+    )
+
+
+def footprints(trace: Trace, vehicle: VehicleConfig) -> Boxes:
+    """Of all vehicles at all times, fields [T+1, E, V] float64, world frame."""
+    pose = np.concatenate([trace.position_m, trace.yaw_rad[..., None]], -1)
+    return _footprints(torch.from_numpy(pose).double(), vehicle)
+
+
+def smallest_gap(boxes: Boxes) -> np.ndarray:
+    """[E] float64, m: smallest distance between the ego's footprint and a social one's; 0 where they collide."""
+    return box_distance(seats(boxes, EGO, EGO + 1), seats(boxes, EGO + 1, None)).amin((0, 2)).numpy()
+
+
+def smallest_ttc(trace: Trace, boxes: Boxes, is_driven: np.ndarray) -> np.ndarray:
+    """[E] float64, s, over the states that `is_driven` [T+1, E] has; NaN where a collision never was ahead."""
+    speed = torch.from_numpy(trace.speed_mps).double()
+    velocity = torch.stack([speed * boxes.cos, speed * boxes.sin], -1)
+    ego, social = seats(boxes, EGO, EGO + 1), seats(boxes, EGO + 1, None)
+    ttc = time_to_collision(ego, social, velocity[:, :, EGO + 1 :] - velocity[:, :, EGO : EGO + 1])
+    ttc = torch.where(torch.from_numpy(is_driven)[..., None], ttc, torch.inf)
+    smallest = ttc.amin((0, 2)).numpy()
+    return np.where(np.isfinite(smallest), smallest, np.nan)
+
+
+def time_to_collision(a: Boxes, b: Boxes, velocity: Tensor) -> Tensor:
+    """[...] s until the rectangles overlap if b moves with `velocity` [..., 2] (m/s) relative to a and neither turns;
+    0 if they do already, inf if they never will.
+
+    Along each of the four sides' directions the extents overlap for an interval of time (the separating-axis
+    theorem); the rectangles overlap where all four intervals do.
+    """
+    first, last = torch.zeros_like(a.x * b.x), torch.full_like(a.x * b.x, torch.inf)
+    for axis in (a, b):
+        for cos, sin in ((axis.cos, axis.sin), (-axis.sin, axis.cos)):
+            apart = (b.x - a.x) * cos + (b.y - a.y) * sin
+            closing = velocity[..., 0] * cos + velocity[..., 1] * sin
+            reach = _extent(a, cos, sin) + _extent(b, cos, sin)
+            moves = closing.abs() > 1e-9
+            bounds = torch.stack([-reach - apart, reach - apart]) / torch.where(moves, closing, 1.0)
+            never = torch.where(apart.abs() < reach, -torch.inf, torch.inf)
+            first = torch.maximum(first, torch.where(moves, bounds.amin(0), never))
+            last = torch.minimum(last, torch.where(moves, bounds.amax(0), torch.inf))
+    return torch.where(first < last, first, torch.inf)
+
+
+def _extent(box: Boxes, cos: Tensor, sin: Tensor) -> Tensor:
+    """Half of what the rectangle measures along a direction, m."""
+    along = (box.cos * cos + box.sin * sin).abs()
+    across = (box.cos * sin - box.sin * cos).abs()
+    return box.half_length * along + box.half_width * across
+
+
+def _hardness(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Largest deceleration (m/s2) and largest jerk (m/s3) of the ego, [E] float64 each, while the episode ran."""
+    is_running = running(trace)
+    accel = np.diff(trace.speed_mps[:, :, EGO].astype(np.float64), axis=0) / trace.dt_s
+    jerk = np.abs(np.diff(accel, axis=0)) / trace.dt_s
+    decel = np.where(is_running, -accel, 0.0).max(0)
+    return decel.clip(min=0), np.where(is_running[1:], jerk, 0.0).max(0, initial=0.0)
+
+
+def avoidable_by(trace: Trace, vehicle: VehicleConfig, braking_mps2: float) -> np.ndarray:
+    """[E] str, see `safety`."""
+    who = np.full(len(trace.n_steps), "none", dtype=object)
+    for episode in np.flatnonzero(trace.outcome == OUTCOMES.index("collision")):
+        who[episode] = _blame(trace, int(episode), vehicle, braking_mps2)
+    return who.astype(str)
+
+
+def _blame(trace: Trace, episode: int, vehicle: VehicleConfig, braking_mps2: float) -> str:
+    end = int(trace.n_steps[episode])
+    window = slice(max(0, end - round(AVOIDING_S / trace.dt_s)), end + 1)
+    pose = np.concatenate([trace.position_m, trace.yaw_rad[..., None]], -1)[window, episode].astype(np.float64)
+    speed = trace.speed_mps[window, episode].astype(np.float64)
+    is_hit = [_touches(pose[-1:, EGO], pose[-1:, other], vehicle) for other in range(1, pose.shape[1])]
+    if not any(is_hit):
+        return "alone"
+    other = 1 + is_hit.index(True)
+    own, its = ((pose[:, seat], speed[:, seat]) for seat in (EGO, other))
+    by_ego, by_social = (
+        driven[0][1][0] > AT_REST_MPS and not _hits_braking(*driven, trace.dt_s, braking_mps2, vehicle)
+        for driven in ((own, its), (its, own))
+    )
+    return {(True, True): "both", (True, False): "ego", (False, True): "social"}.get((by_ego, by_social), "nobody")
+
+
+_Driven = tuple[np.ndarray, np.ndarray]
+"""Poses [T, 3] and speeds [T] of a vehicle, one step apart."""
+
+
+def _hits_braking(brakes: _Driven, other: _Driven, dt_s: float, braking_mps2: float, vehicle: VehicleConfig) -> bool:
+    """Whether one vehicle touches the other before it has come to rest."""
+    start_mps = brakes[1][0]
+    times = np.arange(0.0, start_mps / braking_mps2, dt_s)
+    path, its = (_straight_on(*driven, dt_s, len(times)) for driven in (brakes, other))
+    driven = np.concatenate([[0.0], np.hypot(*np.diff(path[:, :2], axis=0).T).cumsum()])
+    distance = np.minimum(start_mps * times - braking_mps2 * times**2 / 2, driven[: len(times)])
+    columns = (path[:, 0], path[:, 1], np.unwrap(path[:, 2]))
+    braked = np.stack([np.interp(distance, driven, column) for column in columns], -1)
+    return _touches(braked, its[: len(times)], vehicle)
+
+
+def _straight_on(pose: np.ndarray, speed: np.ndarray, dt_s: float, n: int) -> np.ndarray:
+    """Poses [max(T, n), 3] of a vehicle that goes on as it last drove."""
+    x, y, yaw = pose[-1]
+    ahead = speed[-1] * dt_s * np.arange(1, n - len(pose) + 1)
+    beyond = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), np.full_like(ahead, yaw)], -1)
+    return np.concatenate([pose, beyond])
+
+
+def _touches(a: np.ndarray, b: np.ndarray, vehicle: VehicleConfig) -> bool:
+    """Whether two vehicles with poses [T, 3] overlap at any time."""
+    first, second = (_footprints(torch.from_numpy(pose), vehicle) for pose in (a, b))
+    return bool((overlap_depth(first, second) > 0).any())
+
+
+def _footprints(pose: Tensor, vehicle: VehicleConfig) -> Boxes:
+    """Of vehicles at poses [..., 3], m, m, rad."""
+    x, y, yaw = pose.unbind(-1)
+    return boxes_from_pose(x, y, yaw, vehicle.length_m, vehicle.width_m)
+
+
+def seats(boxes: Boxes, first: int, end: int | None) -> Boxes:
+    """Those of some vehicles, [..., V]."""
+    return boxes._replace(**{name: getattr(boxes, name)[..., first:end] for name in ("x", "y", "cos", "sin")})
+
+
+def box_distance(a: Boxes, b: Boxes) -> Tensor:
+    """Distance between oriented rectangles, [...] m, 0 where they overlap.
+
+    Of two rectangles that are apart, one has a corner among the two nearest points.
+    """
+    apart = torch.minimum(_distance_from_corners(a, b), _distance_from_corners(b, a))
+    return torch.where(overlap_depth(a, b) > 0, 0.0, apart)
+
+
+def _distance_from_corners(a: Boxes, b: Boxes) -> Tensor:
+    """[...] m: of the corner of `a` that is nearest to the rectangle `b`."""
+    nearest = torch.tensor(torch.inf, dtype=a.x.dtype)
+    for ahead, left in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        along_a, across_a = ahead * a.half_length, left * a.half_width
+        dx = a.x + along_a * a.cos - across_a * a.sin - b.x
+        dy = a.y + along_a * a.sin + across_a * a.cos - b.y
+        along_b = ((dx * b.cos + dy * b.sin).abs() - b.half_length).clamp(min=0)
+        across_b = ((dy * b.cos - dx * b.sin).abs() - b.half_width).clamp(min=0)
+        nearest = torch.minimum(nearest, torch.hypot(along_b, across_b))
+    return nearest
