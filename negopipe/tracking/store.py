@@ -128,11 +128,10 @@ class TrackedRun:
         self._outputs = Path(config.outputs).absolute()
         self._journal = Journal(folder)
         self._delivery = Delivery(folder, self._journal, self._outputs, config.tracking.uri)
-        self._last_step = _last_steps(self._journal)
+        self._last_step, self._logged = _earlier_metrics(self._journal)
         self._client: MlflowClient | None = None
         self._has_begun = self._is_out_of_reach = False
         self._n_waiting = 0
-        self._logged = (-1, 0)
         self._sent_s, self._next_try_s = time.monotonic(), 0.0
 
     @property
@@ -315,13 +314,15 @@ def _continued(record: RunRecord | None, accepted: str | None) -> RunRecord | No
     return record
 
 
-def _last_steps(journal: Journal) -> dict[str, int]:
-    """The last step of every metric that earlier processes of this run have logged."""
+def _earlier_metrics(journal: Journal) -> tuple[dict[str, int], tuple[int, int]]:
+    """What earlier processes of this run logged: the last step of every metric; step and time of the latest of them."""
     last: dict[str, int] = {}
+    latest = (-1, 0)
     for _, entry in journal.after(0):
         if entry["kind"] == "metrics":
             last |= dict.fromkeys(entry["values"], entry["step"])
-    return last
+            latest = (entry["step"], entry["time_ms"])
+    return last, latest
 
 
 def _unreachable() -> tuple[type[Exception], ...]:

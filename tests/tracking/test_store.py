@@ -276,6 +276,23 @@ def test_a_killed_run_goes_on_in_its_record_and_writes_nothing_twice(config: Sto
     assert sorted(output.step for output in record.outputs.model_outputs) == [1, 2]
 
 
+def test_a_run_killed_before_its_checkpoint_logs_the_metrics_of_that_step_once(config: StoreConfig) -> None:
+    file = Path(config.outputs) / "later.safetensors"
+    file.write_bytes(b"weights")
+
+    def stop() -> None:
+        first.log_metrics({"loss": 1.0}, 1)
+        raise SystemExit(143)
+
+    with pytest.raises(SystemExit), open_run(config, "seed1-p", {}) as first:
+        stop()
+    time.sleep(0.01)  # the clock of the store counts milliseconds
+    with open_run(config, "seed1-p", {}) as again:
+        again.log_metrics({"loss": 1.0}, 1)
+        again.log_checkpoint(file, 1, {"loss": 1.0})
+    assert history(config, again, "loss") == [(1, 1.0)]
+
+
 @pytest.mark.parametrize(
     ("source", "takes_any_code", "is_fresh", "is_same"),
     [("x", False, False, True), ("y", True, False, True), ("y", False, False, False), ("x", True, True, False)],
