@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, Finding
-from negopipe.report.figures import INK, OUTCOME_COLORS, STYLE, WIDTH_IN, styled
+from negopipe.report.figures import INK, OUTCOME_COLORS, STYLE, WIDTH_IN, setting_label, styled
 
 RATES = {
     "success": "success_rate",
@@ -45,7 +45,7 @@ def behaviour_map(table: pd.DataFrame) -> Figure:
         rows = table[table["setting"] == setting]
         _outcome_cells(left, rows, horizons, styles, font_size)
         _passage_cells(right, rows, horizons, styles, font_size)
-        left.set_title(f"{setting.capitalize()}: outcomes [%]")
+        left.set_title(f"{setting_label(setting)}: outcomes [%]")
         right.set_title("ego first [%], gap [m]", fontweight="normal")
         for axis in (left, right):
             _frame(axis, horizons, styles)

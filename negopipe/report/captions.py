@@ -18,6 +18,18 @@ CAPTIONS = {
         """Rows are planners, columns are styles of the other driver, which the ego is not told. A
         planner that reads the other driver is dark in the whole row.""",
     ),
+    "arrivals": (
+        "Arrivals over time",
+        """Each line is a planner: the share of all its episodes in which the ego has arrived by a time. A
+        line that rises early is fast, one that ends low often does not arrive at all.""",
+    ),
+    "outcome_map": (
+        "{setting}: which tasks succeed",
+        """Of the adaptive planner. Each row is a style of the other driver (0 s pushes, 6 s gives way),
+        each column a start distance; a column is filled with the outcomes of its episodes. The bars
+        below mark distances that training left out: where failures stand above them, the policy has
+        learnt its tasks by heart.""",
+    ),
     "space_time": (
         "{setting}: one task, every planner",
         """The ego drives upwards in the diagram, the social vehicle downwards; where a line is flat, the

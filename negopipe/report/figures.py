@@ -82,6 +82,11 @@ def planner_label(planner: str) -> str:
     return planner.replace("_", " ") + ("\N{NO-BREAK SPACE}s" if planner.startswith("fixed_") else "")
 
 
+def setting_label(setting: str) -> str:
+    """`mixture_switching` -> `Mixture switching`."""
+    return setting.replace("_", " ").capitalize()
+
+
 @styled
 def comparison(table: pd.DataFrame) -> Figure:
     """The paper's bars: arrivals, driving time, suspensions, time at rest and reward of every planner.
@@ -106,7 +111,7 @@ def comparison(table: pd.DataFrame) -> Figure:
         for axis, (measure, label) in zip(axes[1:, column], measures.items(), strict=True):
             _boxes(axis, [part[measure].dropna().to_numpy() for part in by_planner], planners)
             axis.set_xlabel(label)
-        axes[0, column].set_title(setting.capitalize())
+        axes[0, column].set_title(setting_label(setting))
     axes[0, 0].set_yticks(range(len(planners)), [planner_label(planner) for planner in planners])
     axes[0, 0].set_ylim(len(planners) - 0.5, -0.5)
     return figure
@@ -164,7 +169,7 @@ def outcomes(table: pd.DataFrame) -> Figure:
         rows = table[table["setting"] == setting]
         share = pd.crosstab(rows["planner"], rows["outcome"], normalize="index") * 100
         _stacked_bars(axis, share.reindex(index=planners, columns=list(OUTCOMES), fill_value=0.0))
-        axis.set_title(setting.capitalize())
+        axis.set_title(setting_label(setting))
     axes[-1].set_xlabel("episodes [%]")
     handles = [Patch(color=color, label=name) for name, color in OUTCOME_COLORS.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
@@ -224,7 +229,7 @@ def behaviour(traces: Sequence[Trace]) -> Figure:
         for trace in (trace for trace in traces if trace.family == setting):
             _behaviour_curve(axis, trace, colors[trace.planner])
         axis.axhline(0, color=QUIET, linewidth=0.8)
-        axis.set(ylim=(-95, 95), ylabel="behaviour index ψ [°]", title=setting.capitalize())
+        axis.set(ylim=(-95, 95), ylabel="behaviour index ψ [°]", title=setting_label(setting))
         axis.set_yticks([-90, -45, 0, 45, 90])
         for y, text in ((0.75, "prosocial"), (0.25, "competitive")):
             axis.text(1.01, y, text, transform=axis.transAxes, va="center", rotation=270, fontsize=8)
@@ -261,7 +266,7 @@ def horizons(traces: Sequence[Trace]) -> Figure:
             axis.stairs(base + share, edges_s, baseline=base, fill=True, color=horizon_color(level))
             base = base + share
         axis.stairs(base, edges_s, baseline=None, color=INK, linewidth=0.8)
-        axis.set(ylim=(0, 100), ylabel="episodes [%]", title=trace.family.capitalize())
+        axis.set(ylim=(0, 100), ylabel="episodes [%]", title=setting_label(trace.family))
     axes[-1].set(xlabel="time [s]", xlim=(0, max(trace.n_steps.max() * trace.dt_s for trace in adaptive)))
     _horizon_legend(figure, levels)
     return figure

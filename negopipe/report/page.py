@@ -11,7 +11,7 @@ import jinja2
 from pydantic import Field
 
 from negopipe.evaluation.trace import ADAPTIVE
-from negopipe.report.figures import planner_label
+from negopipe.report.figures import planner_label, setting_label
 from negopipe.schema import NonNegativeInt, PositiveInt, schema
 
 Measures = Mapping[str, Any]
@@ -162,10 +162,10 @@ def headline(setting: str, measures: Mapping[str, Measures]) -> tuple[str, str]:
     """
     rivals = [planner for planner in measures if planner != ADAPTIVE]
     if not rivals:
-        return f"{setting.capitalize()}: {_achievement(ADAPTIVE, measures[ADAPTIVE])}.", ""
+        return f"{setting_label(setting)}: {_achievement(ADAPTIVE, measures[ADAPTIVE])}.", ""
     best = max(rivals, key=lambda planner: (measures[planner]["success_rate"], measures[planner]["reward"]))
     ours, theirs = measures[ADAPTIVE], measures[best]
-    verdict = f"{setting.capitalize()}: {_verdict(ours, theirs, planner_label(best))}."
+    verdict = f"{setting_label(setting)}: {_verdict(ours, theirs, planner_label(best))}."
     parts = (_achievement(ADAPTIVE, ours), f"{_achievement(best, theirs)} (the best of the others)")
     return verdict, f"{'; '.join(parts).capitalize()}. {ours['n_episodes']} episodes each."
 
@@ -211,7 +211,7 @@ def _table(setting: str, measures: Mapping[str, Measures]) -> dict[str, Any]:
         for row in _ROWS
     ]
     return {
-        "setting": setting.capitalize(),
+        "setting": setting_label(setting),
         "planners": [planner_label(planner) for planner in measures],
         "rows": rows,
     }

@@ -6,7 +6,7 @@ import platform
 import shlex
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,8 @@ from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures
 from negopipe.report.animation import Scene
 from negopipe.report.captions import NOT_TRAINED, WATCH, caption
-from negopipe.report.figures import planner_label
+from negopipe.report.figures import planner_label, setting_label
+from negopipe.report.outcome_figures import arrivals, outcome_map
 from negopipe.report.page import (
     Exhibit,
     Provenance,
@@ -83,7 +84,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     road = Road(config.scenario.road)
     log.info("report: figures")
     sections = [
-        _planners(drawings, table),
+        _planners(drawings, table, _unseen(config)),
         _negotiations(drawings, traces, road.corridor_sigma_m),
         _animations(config.report, films, traces, make_scene(config.scenario, road)),
         _behaviour(drawings, traces),
@@ -117,7 +118,7 @@ def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
     )
 
 
-def _planners(gallery: _Gallery, table: pd.DataFrame) -> Section:
+def _planners(gallery: _Gallery, table: pd.DataFrame, unseen: Mapping[str, Sequence[tuple[float, float]]]) -> Section:
     """Two settings share a figure at most: three would be too small to read on a phone."""
     settings = list(table["setting"].unique())
     exhibits = []
@@ -126,11 +127,22 @@ def _planners(gallery: _Gallery, table: pd.DataFrame) -> Section:
         drawing = figures.comparison(table[table["setting"].isin(pair)])
         exhibits.append(gallery.figure(f"comparison_{'_'.join(pair)}", drawing, title, reading))
     exhibits.append(gallery.figure("outcomes", figures.outcomes(table), *caption("outcomes")))
+    exhibits.append(gallery.figure("arrivals", arrivals(table), *caption("arrivals")))
     has_styles = table.groupby("setting")["style_horizon_s"].transform("nunique") > 1
     if has_styles.any():
         drawing = figures.success_by_style(table[has_styles])
         exhibits.append(gallery.figure("success_by_style", drawing, *caption("success_by_style")))
+    for setting, rows in table[has_styles].groupby("setting", sort=False):
+        drawing = outcome_map(rows, unseen.get(str(setting), ()))
+        title, reading = caption("outcome_map", setting=setting_label(str(setting)))
+        exhibits.append(gallery.figure(f"outcome_map_{setting}", drawing, title, reading))
     return Section("Planners compared", "", exhibits)
+
+
+def _unseen(config: "RunConfig") -> dict[str, tuple[tuple[float, float], ...]]:
+    """Start distances that the last stage of training left out, by the name of the family."""
+    families = config.curriculum.stages[-1].families
+    return {name: tuple((low, high) for low, high in family.gaps_m) for name, family in families.items()}
 
 
 def _negotiations(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_sigma_m: tuple[float, float]) -> Section:
@@ -138,7 +150,7 @@ def _negotiations(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_si
     for setting, group in traces.items():
         episode = animation.choose_episodes(_adaptive(group), 1)[0]
         drawing = figures.space_time(group, episode, corridor_sigma_m)
-        title, reading = caption("space_time", setting=setting.capitalize())
+        title, reading = caption("space_time", setting=setting_label(setting))
         exhibits.append(gallery.figure(f"space_time_{setting}", drawing, title, reading))
     return Section("Negotiations", "", exhibits)
 
@@ -167,7 +179,7 @@ def _film(gallery: _Gallery, name: str, traces: list[Trace], episode: int, scene
     still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3)
     title, reading = caption(
         "film",
-        setting=trace.family.capitalize(),
+        setting=setting_label(trace.family),
         episode=episode,
         planners=", ".join(planner_label(shown.planner) for shown in traces),
         style_s=trace.style_horizon_s[episode, NEAREST],

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from negopipe.evaluation.metrics import behaviour_index
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.report import figures
+from negopipe.report import figures, outcome_figures
 
 Draw = Callable[[list[Trace], pd.DataFrame, pd.DataFrame], Figure]
 
@@ -20,6 +20,8 @@ DRAWINGS: dict[str, Draw] = {
     "comparison": lambda traces, table, history: figures.comparison(table),
     "outcomes": lambda traces, table, history: figures.outcomes(table),
     "success_by_style": lambda traces, table, history: figures.success_by_style(table),
+    "arrivals": lambda traces, table, history: outcome_figures.arrivals(table),
+    "outcome_map": lambda traces, table, history: outcome_figures.outcome_map(table, [(12.2, 12.6)]),
     "behaviour": lambda traces, table, history: figures.behaviour(traces),
     "horizons": lambda traces, table, history: figures.horizons(traces),
     "space_time": lambda traces, table, history: figures.space_time(traces[:5], 0, (-6.0, 6.0)),
@@ -85,6 +87,29 @@ def test_bars_of_outcomes_are_the_shares(table: pd.DataFrame) -> None:
         outcome = rows[rows["planner"] == planner]["outcome"]
         for container, name in zip(axis.containers, OUTCOMES, strict=True):
             assert container[planner_row].get_width() == pytest.approx(100 * (outcome == name).mean())
+
+
+def test_arrival_curves_are_the_shares_by_time(table: pd.DataFrame) -> None:
+    figure = outcome_figures.arrivals(table)
+    setting = table["setting"].unique()[0]
+    rows = table[(table["setting"] == setting) & (table["planner"] == "adaptive")]
+    curve = next(line for line in figure.axes[0].lines if line.get_linewidth() > 2)
+    x, y = (np.asarray(data, dtype=float) for data in (curve.get_xdata(), curve.get_ydata()))
+    for time_s in (5.0, 10.0, 20.0):
+        assert y[x <= time_s][-1] == pytest.approx(100 * (rows["ego_time_s"] <= time_s).mean())
+
+
+def test_outcome_map_fills_each_column_with_its_outcomes(table: pd.DataFrame) -> None:
+    one = table[table["setting"] == "yield"].assign(style_horizon_s=2.0)
+    figure = outcome_figures.outcome_map(one, [])
+    bars = [patch for patch in figure.axes[0].patches if patch.get_height() != 0]
+    by_column: dict[float, float] = {}
+    for bar in bars:
+        by_column[round(bar.get_x(), 3)] = by_column.get(round(bar.get_x(), 3), 0.0) - bar.get_height()
+    assert by_column
+    assert list(by_column.values()) == pytest.approx([0.76] * len(by_column))
+    distance = one.loc[one["planner"] == "adaptive", "social_start_distance_m"]
+    assert all(((distance >= x) & (distance <= x + outcome_figures.BIN_M + 1e-6)).any() for x in by_column)
 
 
 def test_behaviour_draws_the_median_index_in_degrees(traces: list[Trace]) -> None:

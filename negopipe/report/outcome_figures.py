@@ -1,0 +1,97 @@
+"""Who arrives when, and which tasks fail: figures that a mean over all tasks would hide.
+
+Like those of `negopipe.report.figures`: every function takes data and returns a matplotlib Figure 4.4 inches wide.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES
+from negopipe.report.figures import (
+    INK,
+    OUTCOME_COLORS,
+    QUIET,
+    WIDTH_IN,
+    planner_colors,
+    planner_label,
+    setting_label,
+    styled,
+)
+
+BIN_M = 0.4
+"""Width of a column of start distances."""
+
+
+@styled
+def arrivals(table: pd.DataFrame) -> Figure:
+    """Share of all episodes in which the ego has arrived by a time, for every planner, one panel per setting."""
+    settings = list(table["setting"].unique())
+    figure = Figure((WIDTH_IN, 0.9 + 1.7 * len(settings)), layout="constrained")
+    axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
+    colors = planner_colors(list(table["planner"].unique()))
+    for axis, setting in zip(axes, settings, strict=True):
+        for planner, rows in table[table["setting"] == setting].groupby("planner", sort=False):
+            _arrival_curve(axis, rows["ego_time_s"], colors[str(planner)], is_adaptive=planner == ADAPTIVE)
+        axis.set(ylim=(0, 103), ylabel="ego arrived [%]", title=setting_label(setting))
+        axis.grid(axis="y")
+    axes[-1].set(xlabel="time [s]", xlim=(0, table["ego_time_s"].max() * 1.05))
+    handles = [Patch(color=color, label=planner_label(name)) for name, color in colors.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, handlelength=1.0)
+    return figure
+
+
+def _arrival_curve(axis: Axes, time_s: pd.Series, color: str, is_adaptive: bool) -> None:
+    arrived = np.sort(time_s.dropna().to_numpy())
+    share = 100 * np.arange(1, len(arrived) + 1) / len(time_s)
+    x = np.concatenate([[0.0], arrived, [1e3]])
+    y = np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]])
+    axis.step(x, y, where="post", color=color, linewidth=2.2 if is_adaptive else 1.3, zorder=3 if is_adaptive else 2)
+
+
+@styled
+def outcome_map(table: pd.DataFrame, unseen_m: Sequence[tuple[float, float]]) -> Figure:
+    """How the policy's episodes end, by the other driver's style (rows) and start distance (columns).
+
+    table: of one setting
+    unseen_m: intervals of start distance, m, that training left out; marked below the columns
+    """
+    rows = table[table["planner"] == ADAPTIVE]
+    distance = rows["social_start_distance_m"].to_numpy()
+    edges = BIN_M * np.arange(np.floor(distance.min() / BIN_M), np.floor(distance.max() / BIN_M) + 2)
+    styles = np.sort(rows["style_horizon_s"].unique())
+    figure = Figure((WIDTH_IN, 1.3 + 0.45 * len(styles)), layout="constrained")
+    axis = figure.subplots()
+    for row, style in enumerate(styles):
+        of_style = rows[rows["style_horizon_s"] == style]
+        _outcome_bars(axis, row, of_style, edges)
+    for first, last in unseen_m:
+        axis.plot(
+            (first, last), (len(styles) - 0.42,) * 2, color=INK, linewidth=3, solid_capstyle="butt", clip_on=False
+        )
+    axis.set(xlim=(edges[0], edges[-1]), ylim=(len(styles) - 0.35, -0.5))
+    axis.set_yticks(range(len(styles)), [f"{style:g} s" for style in styles])
+    axis.set_xlabel("start distance of the social driver [m]")
+    axis.set_ylabel("its style [s]")
+    axis.set_title(setting_label(str(rows["setting"].iloc[0])))
+    axis.tick_params(axis="y", length=0)
+    handles = [Patch(color=color, label=name) for name, color in OUTCOME_COLORS.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
+    return figure
+
+
+def _outcome_bars(axis: Axes, row: int, episodes: pd.DataFrame, edges: np.ndarray) -> None:
+    """A stacked bar of shares for every column of start distances that has episodes, filled up from below."""
+    column = np.searchsorted(edges, episodes["social_start_distance_m"].to_numpy(), side="right") - 1
+    share = pd.crosstab(column, episodes["outcome"], normalize="index").reindex(columns=list(OUTCOMES), fill_value=0.0)
+    at = edges[share.index.to_numpy(dtype=int)]
+    base = np.full(len(share), row + 0.38)
+    for outcome in OUTCOMES:
+        height = 0.76 * share[outcome].to_numpy()
+        axis.bar(at, -height, width=BIN_M, bottom=base, align="edge", color=OUTCOME_COLORS[outcome], linewidth=0)
+        base = base - height
+    axis.axhline(row + 0.38, color=QUIET, linewidth=0.5)
