@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
@@ -30,6 +31,7 @@ class Config:
     """Stands for the root config, as far as the stage reads it."""
 
     name, seed, evaluation = "push", 3, Evaluation()
+    curriculum = SimpleNamespace(stages=[SimpleNamespace(families={})])
     scenario: ScenarioConfig
     report: ReportConfig
 
@@ -79,7 +81,7 @@ def test_everything_is_written_and_logged(run: Run) -> None:
     assert "<h2>How it was made</h2>" in page
     assert "name: push" in page
     images = re.findall(r'<img src="(data:image/[a-z+]+);', page)
-    assert images.count("data:image/svg+xml") == 7
+    assert images.count("data:image/svg+xml") == 8
     assert images.count("data:image/gif") == 4  # in each setting one alone and one side by side
     assert run.artifacts == [("figures", "figures"), ("animations", "animations"), ("report.html", "")]
     over_all, push, *_ = run.description.split("\n\n")
