@@ -8,7 +8,7 @@ from negopipe.env import build_game
 from negopipe.gym_env import compose_config
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import Task
+from negopipe.simulation.state import EGO, Task
 from negopipe.stages.evaluate import held_out_tasks
 
 N = 4000
@@ -18,7 +18,8 @@ NEAREST = 1
 def training_tasks(config: RunConfig, stage: int) -> Task:
     """As `stages/train.py` draws them."""
     stream = generator(config.seed, "training tasks", torch.device("cpu"))
-    return TaskSampler(config.scenario, config.curriculum.stages[stage].families, stream).draw(N)
+    scenario = config.curriculum.scenario(config.scenario)
+    return TaskSampler(scenario, config.curriculum.stages[stage].families, stream).draw(N)
 
 
 def held_out(config: RunConfig, setting: str) -> Task:
@@ -45,6 +46,17 @@ def test_the_mixture_is_evaluated_at_distances_that_training_leaves_out(setting:
         assert in_gaps > 0.25
     assert evaluated.min() < 12.1
     assert evaluated.max() > 18.7
+
+
+def test_only_training_starts_as_the_curriculum_says() -> None:
+    starts = "{ego_start_distance_m: [13.0, 14.0], start_speed_mps: [4.0, 5.0]}"
+    config = compose_config(["+experiment=yield", f"curriculum.starts={starts}", f"evaluation.n_episodes={N}"])
+    trained, evaluated = training_tasks(config, 0), held_out(config, "yield")
+    for field, (low, high) in ((trained.start_distance[:, EGO], (13.0, 14.0)), (trained.start_speed, (4.0, 5.0))):
+        assert low <= field.min() < low + 0.01
+        assert high - 0.01 < field.max() <= high
+    assert (evaluated.start_distance[:, EGO] == 13.35).all()
+    assert (evaluated.start_speed == 4.8).all()
 
 
 @pytest.mark.parametrize("seed", [1, 20210311])

@@ -2,12 +2,13 @@
 
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Annotated, Any
 
 from pydantic import Field
 
-from negopipe.schema import Fraction, Label, PositiveInt, schema
-from negopipe.simulation.scenario import Families
+from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
+from negopipe.simulation.scenario import Families, ScenarioConfig
 
 
 @schema
@@ -22,6 +23,14 @@ class CurriculumStageConfig:
     name: Label
     n_iterations: PositiveInt
     families: Annotated[Families, Field(min_length=1)]
+
+
+@schema
+class StartsConfig:
+    """How training starts its tasks beside what the families say; the evaluation's starts are the scenario's."""
+
+    ego_start_distance_m: Interval
+    start_speed_mps: Interval
 
 
 @schema
@@ -42,10 +51,20 @@ class CurriculumConfig:
 
     advance: null = every stage takes its K_i iterations; else a stage may end early. The last stage takes all
         iterations that are left, so that a training has sum K_i iterations in any case
+    starts: of all stages
     """
 
     stages: Annotated[tuple[CurriculumStageConfig, ...], Field(min_length=1)]
     advance: AdvanceConfig | None
+    starts: StartsConfig
+
+    def scenario(self, evaluated: ScenarioConfig) -> ScenarioConfig:
+        """The scenario in which training drives, for the one in which the policy is evaluated."""
+        return replace(
+            evaluated,
+            ego_start_distance_m=self.starts.ego_start_distance_m,
+            start_speed_mps=self.starts.start_speed_mps,
+        )
 
 
 class Curriculum:

@@ -87,7 +87,8 @@ class Training:
         tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
         self.n_steps = algorithm.n_steps
         self.curriculum = Curriculum(config.curriculum)
-        self._samplers = [TaskSampler(config.scenario, stage.families, tasks) for stage in config.curriculum.stages]
+        scenario = config.curriculum.scenario(config.scenario)
+        self._samplers = [TaskSampler(scenario, stage.families, tasks) for stage in config.curriculum.stages]
         horizons_s = config.policy.horizons_s
         self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds)
         self.running = RunningEpisodes.start(algorithm.n_worlds, device)
