@@ -92,6 +92,7 @@ def _outcome_bars(axis: Axes, row: int, episodes: pd.DataFrame, edges: np.ndarra
     base = np.full(len(share), row + 0.38)
     for outcome in OUTCOMES:
         height = 0.76 * share[outcome].to_numpy()
-        axis.bar(at, -height, width=BIN_M, bottom=base, align="edge", color=OUTCOME_COLORS[outcome], linewidth=0)
+        color = OUTCOME_COLORS[outcome]  # of the edges, too, or seams show between the columns
+        axis.bar(at, -height, width=BIN_M, bottom=base, align="edge", color=color, edgecolor=color, linewidth=0.4)
         base = base - height
     axis.axhline(row + 0.38, color=QUIET, linewidth=0.5)

@@ -147,7 +147,7 @@ def _overall(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[
     verdict = "beats" if is_ahead else "does not beat"
     figures = (
         f"{planner_label(planner)} succeeds in at least "
-        f"{100 * measured(planner)['success_rate']:.1f} % of the episodes ({weakest(planner)})"
+        f"{100 * measured(planner)['success_rate']:.1f} % of the episodes ({setting_label(weakest(planner)).lower()})"
         for planner in (ADAPTIVE, best)
     )
     text = f"{'; '.join(figures).capitalize()}, the best of the others."

@@ -123,7 +123,9 @@ def _planners(gallery: _Gallery, table: pd.DataFrame, unseen: Mapping[str, Seque
     settings = list(table["setting"].unique())
     exhibits = []
     for pair in (settings[i : i + 2] for i in range(0, len(settings), 2)):
-        title, reading = caption("comparison", settings=" and ".join(pair))
+        title, reading = caption(
+            "comparison", settings=" and ".join(setting_label(setting).lower() for setting in pair)
+        )
         drawing = figures.comparison(table[table["setting"].isin(pair)])
         exhibits.append(gallery.figure(f"comparison_{'_'.join(pair)}", drawing, title, reading))
     exhibits.append(gallery.figure("outcomes", figures.outcomes(table), *caption("outcomes")))
