@@ -11,7 +11,7 @@ import yaml
 from games import draw_tasks
 
 from negopipe.config import RunConfig
-from negopipe.env import Game
+from negopipe.env import Game, build_game
 from negopipe.evaluation.encounter import Encounter, encounter
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.rival import Rival
@@ -28,6 +28,12 @@ NAMES = [path.stem for path in FILES]
 @pytest.fixture(scope="module")
 def rivals() -> dict[str, Rival]:
     return compose_config([f"evaluation/rival=[{','.join(NAMES)}]", "report.side_by_side=[]"]).evaluation.rivals
+
+
+@pytest.fixture(scope="module")
+def brief() -> Game:
+    """Episodes end after 6 s, which is enough to see who does what."""
+    return build_game(compose_config(["scenario.episode_steps=30"]))
 
 
 def task_with(config: RunConfig, distance_m: float, style_s: float) -> Task:
@@ -73,17 +79,17 @@ def test_who_gets_through(
     assert OUTCOMES[int(trace.outcome[0])] == outcome
 
 
-def test_only_horizons_that_a_rival_names_are_used(config: RunConfig, game: Game, rivals: dict[str, Rival]) -> None:
+def test_only_horizons_that_a_rival_names_are_used(config: RunConfig, brief: Game, rivals: dict[str, Rival]) -> None:
     task = draw_tasks(config, 2, seed=3)
     short = replace(rivals["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]
     for rival in (rivals | {"level_k": short}).values():
-        horizon = drive(config, game, rival, task).horizon_s[:, :, 0]
+        horizon = drive(config, brief, rival, task).horizon_s[:, :, 0]
         assert set(horizon[~np.isnan(horizon)].tolist()) <= set(rival.horizons_s)
 
 
-def test_random_horizons_depend_on_the_episode_alone(config: RunConfig, game: Game, rivals: dict[str, Rival]) -> None:
+def test_random_horizons_depend_on_the_episode_alone(config: RunConfig, brief: Game, rivals: dict[str, Rival]) -> None:
     task = draw_tasks(config, 3, seed=5)
-    together, alone = (drive(config, game, rivals["random"], task, n).horizon_s[:, :, 0] for n in (3, 1))
+    together, alone = (drive(config, brief, rivals["random"], task, n).horizon_s[:, :, 0] for n in (3, 1))
     assert np.array_equal(together, alone, equal_nan=True)
     assert not np.array_equal(together[:, 0], together[:, 1], equal_nan=True)
 
@@ -161,12 +167,12 @@ def test_time_to_a_place() -> None:
     ],
 )  # fmt: skip
 def test_every_value_of_the_cautious_driver_acts(
-    config: RunConfig, game: Game, rivals: dict[str, Rival], change: dict[str, float]
+    config: RunConfig, brief: Game, rivals: dict[str, Rival], change: dict[str, float]
 ) -> None:
     task = task_with(config, 13.0, 2.0)
     usual = rivals["cautious"]
     assert isinstance(usual, cautious.Config)
-    first, other = (drive(config, game, rival, task).progress_m for rival in (usual, replace(usual, **change)))
+    first, other = (drive(config, brief, rival, task).progress_m for rival in (usual, replace(usual, **change)))
     assert not np.array_equal(first, other)
 
 
