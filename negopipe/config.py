@@ -18,6 +18,7 @@ from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
 from negopipe.evaluation.oracle import OracleConfig
 from negopipe.evaluation.speed import BenchmarkConfig
+from negopipe.evaluation.trace import ADAPTIVE
 from negopipe.learning.acktr import AcktrConfig
 from negopipe.learning.acktr_adam import AcktrAdamConfig
 from negopipe.learning.curriculum import CurriculumConfig
@@ -318,6 +319,8 @@ def _stage_needs(config: RunConfig) -> Iterator[_Need]:
 def _check_evaluation(config: RunConfig) -> None:
     """What is evaluated, opened with and shown exists."""
     settings = config.evaluation.settings
+    if ADAPTIVE in config.evaluation.rivals:
+        raise UserError(f"evaluation.rivals must not name one {ADAPTIVE}, which is the policy")
     _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
     if "report" in config.stages:

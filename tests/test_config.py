@@ -116,6 +116,10 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["+planner.prediction.hold_s=1.0"], "planner.prediction.hold_s is not a known key, allowed: "),
         (["planner.horizon_s=3.0"], "policy.horizons_s must be at most planner.horizon_s = 3.0, got 6.0"),
         (
+            ["+evaluation.rivals.adaptive={kind: fixed, horizon_s: 0.0, n_episodes: null}"],
+            "evaluation.rivals must not name one adaptive, which is the policy",
+        ),
+        (
             ["evaluation.rivals.fixed_6.horizon_s=8.0"],
             "evaluation.rivals.fixed_6 must be at most planner.horizon_s = 6.0, got 8.0",
         ),

@@ -140,13 +140,13 @@ def _measures(rows: pd.DataFrame) -> dict[str, float | int | None]:
         "suspend_time_s": float(rows["suspend_time_s"].mean()),
         "reward": float(rows["reward"].mean()),
         "n_episodes": len(rows),
-        **({name: _mean(rows[name]) for name in SAFETY} if set(SAFETY) <= set(rows) else {}),
-        **(
-            {"avoidable_rate": float(rows["avoidable_by"].isin(["ego", "both"]).mean())}
-            if "avoidable_by" in rows
-            else {}
-        ),
+        **(_safety_measures(rows) if "avoidable_by" in rows else {}),
     }
+
+
+def _safety_measures(rows: pd.DataFrame) -> dict[str, float | None]:
+    is_avoidable = rows["avoidable_by"].isin(["ego", "both"])
+    return {**{name: _mean(rows[name]) for name in SAFETY}, "avoidable_rate": float(is_avoidable.mean())}
 
 
 def _mean(values: pd.Series) -> float | None:

@@ -7,6 +7,7 @@ common colour vision deficiencies (smallest CIE76 difference 27).
 """
 
 import math
+import re
 from collections.abc import Sequence
 from io import BytesIO
 from typing import Any
@@ -31,6 +32,8 @@ OTHER_COLORS = ("#7A7A7A", "#B08D57", "#B5B5B5", "#5E7F5E")
 OUTCOME_COLORS = {"success": "#BFD9EA", "collision": "#D55E00", "deadlock": "#3C3C3C", "timeout": "#A8A8A8"}
 INK, QUIET, CORRIDOR = "#222222", "#8A8A8A", "#EFEBE2"
 LONGEST_HORIZON_S = 6.0
+FIXED = re.compile(r"fixed_(\d+(?:\.\d+)?)")
+"""Name of a planner with one horizon, in s."""
 HORIZON_COLORMAP = LinearSegmentedColormap.from_list("horizon", ["#E09000", "#D64550", "#9A4FBF", "#1B1B4B"])
 
 WIDTH_IN = 4.4
@@ -72,14 +75,14 @@ def horizon_color(horizon_s: float) -> str:
 def planner_colors(planners: Sequence[str]) -> dict[str, str]:
     """Colour of each planner, as hex; neither adaptive nor fixed: quiet ones in their order."""
     known = {name: ADAPTIVE_COLOR for name in planners if name == ADAPTIVE}
-    known |= {name: horizon_color(float(name[6:])) for name in planners if name.startswith("fixed_")}
+    known |= {name: horizon_color(float(fixed[1])) for name in planners if (fixed := FIXED.fullmatch(name))}
     others = [name for name in planners if name not in known]
     return known | {name: OTHER_COLORS[i % len(OTHER_COLORS)] for i, name in enumerate(others)}
 
 
 def planner_label(planner: str) -> str:
     """`fixed_2` -> `fixed 2 s` (which breaks before the 2 only), other names without underscores."""
-    return planner.replace("_", " ") + ("\N{NO-BREAK SPACE}s" if planner.startswith("fixed_") else "")
+    return planner.replace("_", " ") + ("\N{NO-BREAK SPACE}s" if FIXED.fullmatch(planner) else "")
 
 
 def setting_label(setting: str) -> str:
@@ -94,7 +97,7 @@ def comparison(table: pd.DataFrame) -> Figure:
     Boxes hold the middle half of the episodes, whiskers reach from the 10th to the 90th percentile, the line
     is the median, the dot and the number are the mean.
     """
-    settings, planners = _names(table)
+    settings, planners = settings_and_planners(table)
     measures = {
         "driving_time_s": "driving time of arrivals [s]",
         "suspend_count": "suspensions [count]",
@@ -157,62 +160,6 @@ def _row_numbers(axis: Axes, texts: list[str]) -> None:
     axis.tick_params(axis="y", length=0)
     for row, text in enumerate(texts):
         axis.text(1.02, row, text, transform=axis.get_yaxis_transform(), va="center", fontsize=8)
-
-
-@styled
-def outcomes(table: pd.DataFrame) -> Figure:
-    """How the episodes of every planner ended, one stacked bar each, one panel per setting."""
-    settings, planners = _names(table)
-    figure = Figure((WIDTH_IN, 0.7 + (0.5 + 0.26 * len(planners)) * len(settings)), layout="constrained")
-    axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
-    for axis, setting in zip(axes, settings, strict=True):
-        rows = table[table["setting"] == setting]
-        share = pd.crosstab(rows["planner"], rows["outcome"], normalize="index") * 100
-        _stacked_bars(axis, share.reindex(index=planners, columns=list(OUTCOMES), fill_value=0.0))
-        axis.set_title(setting_label(setting))
-    axes[-1].set_xlabel("episodes [%]")
-    handles = [Patch(color=color, label=name) for name, color in OUTCOME_COLORS.items()]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
-    return figure
-
-
-def _stacked_bars(axis: Axes, share: pd.DataFrame) -> None:
-    """Rows of `share` as horizontal bars, columns as segments with their percentage where it fits."""
-    left = np.zeros(len(share))
-    for outcome in share.columns:
-        width = share[outcome].to_numpy()
-        axis.barh(range(len(share)), width, left=left, height=0.72, color=OUTCOME_COLORS[outcome])
-        color = "white" if outcome == "deadlock" else INK
-        for row in np.flatnonzero(width >= 6).tolist():
-            center = left[row] + width[row] / 2
-            axis.text(center, row, f"{width[row]:.0f}", ha="center", va="center", color=color, fontsize=8)
-        left += width
-    axis.set(xlim=(0, 100), ylim=(len(share) - 0.5, -0.5))
-    axis.set_yticks(range(len(share)), [planner_label(planner) for planner in share.index])
-    axis.tick_params(axis="y", length=0)
-
-
-@styled
-def success_by_style(table: pd.DataFrame) -> Figure:
-    """Share of successes of every planner against every style of the social driver."""
-    planners = _names(table)[1]
-    rate = 100 * table.assign(is_success=table["outcome"] == "success").pivot_table(
-        index="planner", columns="style_horizon_s", values="is_success"
-    )
-    rate = rate.reindex(index=planners)
-    figure = Figure((WIDTH_IN, 1.0 + 0.34 * len(planners)), layout="constrained")
-    axis = figure.subplots()
-    axis.imshow(rate, cmap="Blues", vmin=0, vmax=130, aspect="auto")
-    for (row, column), value in np.ndenumerate(rate.to_numpy()):
-        text = "" if np.isnan(value) else f"{value:.0f}"
-        axis.text(column, row, text, ha="center", va="center", color="white" if value > 75 else INK)
-    axis.set_xticks(range(rate.shape[1]), [f"{style:g}" for style in rate.columns])
-    axis.set_yticks(range(len(planners)), [planner_label(planner) for planner in planners])
-    axis.set_xlabel("prediction horizon of the social driver [s], short = aggressive")
-    axis.set_title("Success [% of episodes]")
-    axis.tick_params(length=0)
-    axis.spines[:].set_visible(False)
-    return figure
 
 
 @styled
@@ -377,7 +324,7 @@ def render(figure: Figure, format_: str) -> bytes:
     return buffer.getvalue()
 
 
-def _names(table: pd.DataFrame) -> tuple[list[str], list[str]]:
+def settings_and_planners(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     """Settings and planners in the order in which the table brings them."""
     return list(table["setting"].unique()), list(table["planner"].unique())
 

@@ -1,4 +1,4 @@
-"""Who arrives when, and which tasks fail: figures that a mean over all tasks would hide.
+"""How episodes end: who arrives when, against whom, and which tasks fail.
 
 Like those of `negopipe.report.figures`: every function takes data and returns a matplotlib Figure 4.4 inches wide.
 """
@@ -20,6 +20,7 @@ from negopipe.report.figures import (
     planner_colors,
     planner_label,
     setting_label,
+    settings_and_planners,
     styled,
 )
 
@@ -30,10 +31,10 @@ BIN_M = 0.4
 @styled
 def arrivals(table: pd.DataFrame) -> Figure:
     """Share of all episodes in which the ego has arrived by a time, for every planner, one panel per setting."""
-    settings = list(table["setting"].unique())
+    settings, planners = settings_and_planners(table)
     figure = Figure((WIDTH_IN, 0.9 + 1.7 * len(settings)), layout="constrained")
     axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
-    colors = planner_colors(list(table["planner"].unique()))
+    colors = planner_colors(planners)
     for axis, setting in zip(axes, settings, strict=True):
         for planner, rows in table[table["setting"] == setting].groupby("planner", sort=False):
             _arrival_curve(axis, rows["ego_time_s"], colors[str(planner)], is_adaptive=planner == ADAPTIVE)
@@ -51,6 +52,62 @@ def _arrival_curve(axis: Axes, time_s: pd.Series, color: str, is_adaptive: bool)
     x = np.concatenate([[0.0], arrived, [1e3]])
     y = np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]])
     axis.step(x, y, where="post", color=color, linewidth=2.2 if is_adaptive else 1.3, zorder=3 if is_adaptive else 2)
+
+
+@styled
+def outcomes(table: pd.DataFrame) -> Figure:
+    """How the episodes of every planner ended, one stacked bar each, one panel per setting."""
+    settings, planners = settings_and_planners(table)
+    figure = Figure((WIDTH_IN, 0.7 + (0.5 + 0.26 * len(planners)) * len(settings)), layout="constrained")
+    axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, setting in zip(axes, settings, strict=True):
+        rows = table[table["setting"] == setting]
+        share = pd.crosstab(rows["planner"], rows["outcome"], normalize="index") * 100
+        _stacked_bars(axis, share.reindex(index=planners, columns=list(OUTCOMES), fill_value=0.0))
+        axis.set_title(setting_label(setting))
+    axes[-1].set_xlabel("episodes [%]")
+    handles = [Patch(color=color, label=name) for name, color in OUTCOME_COLORS.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
+    return figure
+
+
+def _stacked_bars(axis: Axes, share: pd.DataFrame) -> None:
+    """Rows of `share` as horizontal bars, columns as segments with their percentage where it fits."""
+    left = np.zeros(len(share))
+    for outcome in share.columns:
+        width = share[outcome].to_numpy()
+        axis.barh(range(len(share)), width, left=left, height=0.72, color=OUTCOME_COLORS[outcome])
+        color = "white" if outcome == "deadlock" else INK
+        for row in np.flatnonzero(width >= 6).tolist():
+            center = left[row] + width[row] / 2
+            axis.text(center, row, f"{width[row]:.0f}", ha="center", va="center", color=color, fontsize=8)
+        left += width
+    axis.set(xlim=(0, 100), ylim=(len(share) - 0.5, -0.5))
+    axis.set_yticks(range(len(share)), [planner_label(planner) for planner in share.index])
+    axis.tick_params(axis="y", length=0)
+
+
+@styled
+def success_by_style(table: pd.DataFrame) -> Figure:
+    """Share of successes of every planner against every style of the social driver."""
+    planners = settings_and_planners(table)[1]
+    rate = 100 * table.assign(is_success=table["outcome"] == "success").pivot_table(
+        index="planner", columns="style_horizon_s", values="is_success"
+    )
+    rate = rate.reindex(index=planners)
+    figure = Figure((WIDTH_IN, 1.0 + 0.34 * len(planners)), layout="constrained")
+    axis = figure.subplots()
+    axis.imshow(rate, cmap="Blues", vmin=0, vmax=130, aspect="auto")
+    for (row, column), value in np.ndenumerate(rate.to_numpy()):
+        text = "" if np.isnan(value) else f"{value:.0f}"
+        axis.text(column, row, text, ha="center", va="center", color="white" if value > 75 else INK)
+    axis.set_xticks(range(rate.shape[1]), [f"{style:g}" for style in rate.columns])
+    axis.set_yticks(range(len(planners)), [planner_label(planner) for planner in planners])
+    axis.set_xlabel("prediction horizon of the social driver [s], short = aggressive")
+    axis.set_title("Success [% of episodes]")
+    axis.tick_params(length=0)
+    axis.spines[:].set_visible(False)
+    return figure
 
 
 @styled

@@ -19,11 +19,10 @@ from matplotlib.figure import Figure
 from negopipe.errors import UserError
 from negopipe.evaluation.metrics import NEAREST
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
-from negopipe.report import animation, figures
+from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.animation import Scene
 from negopipe.report.captions import NOT_TRAINED, WATCH, caption
 from negopipe.report.figures import planner_label, setting_label
-from negopipe.report.outcome_figures import arrivals, outcome_map
 from negopipe.report.page import (
     Exhibit,
     Provenance,
@@ -128,14 +127,14 @@ def _planners(gallery: _Gallery, table: pd.DataFrame, unseen: Mapping[str, Seque
         )
         drawing = figures.comparison(table[table["setting"].isin(pair)])
         exhibits.append(gallery.figure(f"comparison_{'_'.join(pair)}", drawing, title, reading))
-    exhibits.append(gallery.figure("outcomes", figures.outcomes(table), *caption("outcomes")))
-    exhibits.append(gallery.figure("arrivals", arrivals(table), *caption("arrivals")))
+    exhibits.append(gallery.figure("outcomes", outcome_figures.outcomes(table), *caption("outcomes")))
+    exhibits.append(gallery.figure("arrivals", outcome_figures.arrivals(table), *caption("arrivals")))
     has_styles = table.groupby("setting")["style_horizon_s"].transform("nunique") > 1
     if has_styles.any():
-        drawing = figures.success_by_style(table[has_styles])
+        drawing = outcome_figures.success_by_style(table[has_styles])
         exhibits.append(gallery.figure("success_by_style", drawing, *caption("success_by_style")))
     for setting, rows in table[has_styles].groupby("setting", sort=False):
-        drawing = outcome_map(rows, unseen.get(str(setting), ()))
+        drawing = outcome_figures.outcome_map(rows, unseen.get(str(setting), ()))
         title, reading = caption("outcome_map", setting=setting_label(str(setting)))
         exhibits.append(gallery.figure(f"outcome_map_{setting}", drawing, title, reading))
     return Section("Planners compared", "", exhibits)
@@ -150,11 +149,16 @@ def _unseen(config: "RunConfig") -> dict[str, tuple[tuple[float, float], ...]]:
 def _negotiations(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_sigma_m: tuple[float, float]) -> Section:
     exhibits = []
     for setting, group in traces.items():
-        episode = animation.choose_episodes(_adaptive(group), 1)[0]
+        episode = _typical_of_all(group)
         drawing = figures.space_time(group, episode, corridor_sigma_m)
         title, reading = caption("space_time", setting=setting_label(setting))
         exhibits.append(gallery.figure(f"space_time_{setting}", drawing, title, reading))
     return Section("Negotiations", "", exhibits)
+
+
+def _typical_of_all(group: list[Trace]) -> int:
+    """The policy's median episode among those that every planner drove."""
+    return animation.choose_episodes(_adaptive(group).first(min(len(trace.n_steps) for trace in group)), 1)[0]
 
 
 def _animations(report: ReportConfig, gallery: _Gallery, traces: dict[str, list[Trace]], scene: Scene) -> Section:
@@ -166,9 +170,8 @@ def _animations(report: ReportConfig, gallery: _Gallery, traces: dict[str, list[
             for rank, episode in enumerate(animation.choose_episodes(adaptive, report.n_animations), start=1)
         }
         if report.side_by_side:
-            median = animation.choose_episodes(adaptive, 1)[0]
             compared = [adaptive, *_named(group, report.side_by_side)]
-            films = {f"{setting}_side_by_side": (median, compared)} | films
+            films = {f"{setting}_side_by_side": (_typical_of_all(group), compared)} | films
         for name, (episode, shown) in films.items():
             log.info("report: animation %s", name)
             exhibits.append(_film(gallery, name, shown, episode, scene, report.animation_fps))
@@ -234,11 +237,12 @@ def _by_setting(traces: list[Trace], settings: list[str], planners: Sequence[str
 
 
 def _check_same_tasks(group: list[Trace]) -> None:
-    """One episode number must be one task for all planners: they are shown side by side."""
+    """One episode number must be one task for all planners, as far as they drove: they are shown side by side."""
     first = group[0]
     for trace in group[1:]:
-        is_same = np.array_equal(trace.start_distance_m, first.start_distance_m) and np.array_equal(
-            trace.style_horizon_s, first.style_horizon_s, equal_nan=True
+        own, other = (each.first(min(len(trace.n_steps), len(first.n_steps))) for each in (trace, first))
+        is_same = np.array_equal(own.start_distance_m, other.start_distance_m) and np.array_equal(
+            own.style_horizon_s, other.style_horizon_s, equal_nan=True
         )
         if not is_same:
             planners = f"{first.planner} and {trace.planner}"

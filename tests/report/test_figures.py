@@ -18,8 +18,8 @@ Draw = Callable[[list[Trace], pd.DataFrame, pd.DataFrame], Figure]
 
 DRAWINGS: dict[str, Draw] = {
     "comparison": lambda traces, table, history: figures.comparison(table),
-    "outcomes": lambda traces, table, history: figures.outcomes(table),
-    "success_by_style": lambda traces, table, history: figures.success_by_style(table),
+    "outcomes": lambda traces, table, history: outcome_figures.outcomes(table),
+    "success_by_style": lambda traces, table, history: outcome_figures.success_by_style(table),
     "arrivals": lambda traces, table, history: outcome_figures.arrivals(table),
     "outcome_map": lambda traces, table, history: outcome_figures.outcome_map(table, [(12.2, 12.6)]),
     "behaviour": lambda traces, table, history: figures.behaviour(traces),
@@ -52,14 +52,14 @@ def test_the_same_data_give_the_same_bytes(
 
 
 def test_formats_are_what_they_are_called(table: pd.DataFrame) -> None:
-    figure = figures.outcomes(table)
+    figure = outcome_figures.outcomes(table)
     assert figures.render(figure, "png").startswith(b"\x89PNG")
     assert figures.render(figure, "pdf").startswith(b"%PDF")
 
 
 def test_style_does_not_leak(table: pd.DataFrame) -> None:
     before = matplotlib.rcParams["svg.hashsalt"], matplotlib.rcParams["axes.spines.top"]
-    figures.render(figures.outcomes(table), "svg")
+    figures.render(outcome_figures.outcomes(table), "svg")
     assert (matplotlib.rcParams["svg.hashsalt"], matplotlib.rcParams["axes.spines.top"]) == before
 
 
@@ -68,6 +68,12 @@ def test_a_planner_keeps_its_colour_whoever_it_is_shown_with() -> None:
     together = figures.planner_colors(["adaptive", "fixed_0", "random", "fixed_4", "rule"])
     assert together["fixed_4"] == alone["fixed_4"] == figures.horizon_color(4.0)
     assert len(set(together.values())) == 5
+
+
+def test_a_planner_that_only_sounds_like_a_fixed_one_is_shown_too() -> None:
+    assert set(figures.planner_colors(["fixed_far", "fixed_2.5"])) == {"fixed_far", "fixed_2.5"}
+    assert figures.planner_label("fixed_far") == "fixed far"
+    assert figures.planner_label("fixed_2.5") == "fixed 2.5\N{NO-BREAK SPACE}s"
 
 
 def test_comparison_prints_the_means(table: pd.DataFrame) -> None:
@@ -81,7 +87,7 @@ def test_comparison_prints_the_means(table: pd.DataFrame) -> None:
 
 
 def test_bars_of_outcomes_are_the_shares(table: pd.DataFrame) -> None:
-    axis = figures.outcomes(table).axes[0]
+    axis = outcome_figures.outcomes(table).axes[0]
     rows = table[table["setting"] == table["setting"].iloc[0]]
     for planner_row, planner in enumerate(rows["planner"].unique()):
         outcome = rows[rows["planner"] == planner]["outcome"]

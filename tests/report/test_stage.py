@@ -90,6 +90,18 @@ def test_everything_is_written_and_logged(run: Run) -> None:
     assert len(list((run.folder / "animations").glob("*.gif"))) == 4
 
 
+def test_a_planner_may_have_driven_the_first_tasks_only(run: Run, traces: list[Trace], table: pd.DataFrame) -> None:
+    few = [trace.first(3) if trace.planner == "fixed_6" else trace for trace in traces if trace.planner in PLANNERS]
+    save_traces(run.folder / "traces.npz", few)
+    is_driven = (table["planner"] != "fixed_6") | (table["episode"] < 3)
+    table[is_driven].to_csv(run.folder / "episodes.csv", index=False)
+    report.run(Config(side_by_side=("fixed_0", "fixed_6"), animation_fps=1), run)
+    page = (run.folder / "report.html").read_text()
+    shown = {int(text) for text in re.findall(r"episode (\d+): adaptive, fixed", page)}
+    assert shown
+    assert max(shown) < 3
+
+
 def test_options_act(run: Run) -> None:
     report.run(Config(figure_formats=("svg",)), run)
     assert {path.suffix for path in (run.folder / "figures").iterdir()} == {".svg"}
