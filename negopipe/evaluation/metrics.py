@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from negopipe.evaluation.statistics import rate
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.simulation.state import AT_REST_MPS, EGO
 
@@ -113,8 +114,9 @@ def behaviour_index(trace: Trace) -> np.ndarray:
 def summary(table: pd.DataFrame) -> dict[str, Any]:
     """`evaluation.<setting>.<planner>.<measure>` as nested dicts of plain numbers, from rows of `episodes`.
 
-    success_rate, collision_rate, deadlock_rate, timeout_rate (deadlocks included), arrival_rate (the ego
-    reached its target): shares of the episodes. driving_time_s: mean over arrivals, None if there are none.
+    success_rate, collision_rate, deadlock_rate, timeout_rate (deadlocks included), arrival_rate (the ego reached its
+    target), ego_first_rate (the ego passed first): shares of the episodes; of the first two also the bounds of the
+    Wilson interval, success_low, success_high and so on. driving_time_s: mean over arrivals, None if there are none.
     suspend_count, suspend_time_s, reward: means over all episodes. n_episodes. Of tables with the columns of
     `negopipe.evaluation.safety` also smallest_gap_m, smallest_ttc_s, largest_decel_mps2 and largest_jerk_mps3, means
     over the episodes that have one, and avoidable_rate: the share of all episodes that end in a collision which the
@@ -127,14 +129,20 @@ def summary(table: pd.DataFrame) -> dict[str, Any]:
 
 
 def _measures(rows: pd.DataFrame) -> dict[str, float | int | None]:
-    share = {outcome: float((rows["outcome"] == outcome).mean()) for outcome in OUTCOMES}
+    ended = {outcome: rate((rows["outcome"] == outcome).to_numpy()) for outcome in OUTCOMES}
+    share = {outcome: estimate.value for outcome, estimate in ended.items()}
     arrived = rows["driving_time_s"].dropna()
     return {
         "success_rate": share["success"],
+        "success_low": ended["success"].low,
+        "success_high": ended["success"].high,
         "collision_rate": share["collision"],
+        "collision_low": ended["collision"].low,
+        "collision_high": ended["collision"].high,
         "timeout_rate": share["deadlock"] + share["timeout"],
         "deadlock_rate": share["deadlock"],
         "arrival_rate": len(arrived) / len(rows),
+        "ego_first_rate": float((rows["passes_first"] == "ego").mean()),
         "driving_time_s": float(arrived.mean()) if len(arrived) else None,
         "suspend_count": float(rows["suspend_count"].mean()),
         "suspend_time_s": float(rows["suspend_time_s"].mean()),

@@ -56,10 +56,29 @@ def mean_difference(a: np.ndarray, b: np.ndarray, rng: np.random.Generator) -> E
 
     Raises ValueError if the lengths differ, or if a or b is empty, not one-dimensional or not finite.
     """
-    a, b = _checked("a", a), _checked("b", b)
-    if len(a) != len(b):
-        raise ValueError(f"a and b must be over the same tasks, got {len(a)} and {len(b)}")
+    a, b = _checked_pair(a, b)
     return _bootstrap([a - b], np.mean, rng)
+
+
+def difference_of_means(a: np.ndarray, b: np.ndarray, rng: np.random.Generator) -> Estimate:
+    """Mean of a less mean of b, which are over different tasks; the bootstrap resamples each on its own.
+
+    a: [N], b: [M] numbers or bool in one unit
+
+    Raises ValueError if a or b is empty, not one-dimensional or not finite.
+    """
+    return _bootstrap([_checked("a", a), _checked("b", b)], _mean_less_mean, rng)
+
+
+def spread_difference(a: np.ndarray, b: np.ndarray, rng: np.random.Generator) -> Estimate:
+    """Standard deviation of a less that of b over the same N tasks; the bootstrap resamples tasks, a and b together.
+
+    a, b: [N] numbers in one unit, entry i of both is task i
+
+    Raises ValueError if the lengths differ, or if a or b is empty, not one-dimensional or not finite.
+    """
+    a, b = _checked_pair(a, b)
+    return _bootstrap([a, b], lambda a, b, axis: a.std(axis) - b.std(axis), rng, is_paired=True)
 
 
 def interquartile_mean(scores: np.ndarray, rng: np.random.Generator) -> Estimate:
@@ -99,8 +118,21 @@ def _checked(name: str, values: np.ndarray) -> np.ndarray:
     return values
 
 
-def _bootstrap(samples: list[np.ndarray], statistic: Callable[..., np.ndarray], rng: np.random.Generator) -> Estimate:
-    """The statistic of the samples, each [N_i] and resampled on its own."""
+def _checked_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    a, b = _checked("a", a), _checked("b", b)
+    if len(a) != len(b):
+        raise ValueError(f"a and b must be over the same tasks, got {len(a)} and {len(b)}")
+    return a, b
+
+
+def _bootstrap(
+    samples: list[np.ndarray],
+    statistic: Callable[..., np.ndarray],
+    rng: np.random.Generator,
+    *,
+    is_paired: bool = False,
+) -> Estimate:
+    """The statistic of the samples, each [N_i] and resampled on its own, or all alike if they are paired."""
     value = float(statistic(*samples, axis=-1))
     if min(map(len, samples)) == 1:
         return Estimate(value, np.nan, np.nan)
@@ -110,11 +142,16 @@ def _bootstrap(samples: list[np.ndarray], statistic: Callable[..., np.ndarray], 
         n_resamples=N_RESAMPLES,
         batch=max(1, BATCH_VALUES // sum(map(len, samples))),
         vectorized=True,
+        paired=is_paired,
         confidence_level=CONFIDENCE,
         method="percentile",
         rng=rng,
     ).confidence_interval
     return Estimate(value, float(interval.low), float(interval.high))
+
+
+def _mean_less_mean(a: np.ndarray, b: np.ndarray, axis: int) -> np.ndarray:
+    return a.mean(axis) - b.mean(axis)
 
 
 def _interquartile_mean(scores: np.ndarray, axis: int) -> np.ndarray:

@@ -1,7 +1,6 @@
 """report.html: one self-contained file that says in plain words what a run has shown."""
 
 import base64
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +9,11 @@ from typing import Annotated, Any, Literal
 import jinja2
 from pydantic import Field
 
-from negopipe.evaluation.trace import ADAPTIVE
-from negopipe.report.figures import planner_label, setting_label
+from negopipe.evaluation.claims import Claim
+from negopipe.report.figures import setting_label
+from negopipe.report.headlines import Measures, Versus, headlines
+from negopipe.report.tables import n_episodes, tables
 from negopipe.schema import NonNegativeInt, PositiveInt, schema
-
-Measures = Mapping[str, Any]
-"""The measures of one planner in one setting, as `evaluation.metrics.summary` names them."""
 
 
 @schema
@@ -26,6 +24,18 @@ class ReportConfig:
     n_animations: NonNegativeInt
     animation_fps: Annotated[PositiveInt, Field(le=50)]  # a GIF's frames last hundredths of a second, two at least
     side_by_side: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Results:
+    """The numbers of metrics.json, settings in the order in which they are shown.
+
+    evaluation: setting -> planner -> measures
+    versus: setting -> planner other than the policy -> differences to it
+    """
+
+    evaluation: Mapping[str, Mapping[str, Measures]]
+    versus: Mapping[str, Mapping[str, Versus]]
 
 
 @dataclass(frozen=True)
@@ -63,44 +73,14 @@ class Provenance:
     versions: Mapping[str, str]
 
 
-@dataclass(frozen=True)
-class _Row:
-    """A line of the results table: label, key of the measure, factor, decimals, and which end is good."""
-
-    label: str
-    key: str
-    factor: float = 1.0
-    decimals: int = 1
-    best: Literal["max", "min"] | None = None
-
-
-_ROWS = (
-    _Row("success [%]", "success_rate", 100, 1, "max"),
-    _Row("collision [%]", "collision_rate", 100, 1, "min"),
-    _Row("timeout [%]", "timeout_rate", 100),
-    _Row("of these deadlock [%]", "deadlock_rate", 100),
-    _Row("ego arrived [%]", "arrival_rate", 100, 1, "max"),
-    _Row("driving time of arrivals [s]", "driving_time_s", 1, 1),
-    _Row("suspensions [count]", "suspend_count", 1, 2),
-    _Row("time at rest [s]", "suspend_time_s", 1, 1),
-    _Row("reward (Eq. 3)", "reward", 1, 1, "max"),
-    _Row("episodes", "n_episodes", 1, 0),
-)
-
-
 def build_page(
     name: str,
-    leading: str,
-    evaluation: Mapping[str, Mapping[str, Measures]],
+    results: Results,
+    claims: Sequence[Claim],
     sections: Sequence[Section],
     provenance: Provenance,
 ) -> str:
-    """The HTML text of the report.
-
-    leading: the setting that comes first
-    evaluation: setting -> planner -> measures
-    """
-    settings = settings_in_order(evaluation, leading)
+    """The HTML text of the report."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -111,8 +91,16 @@ def build_page(
     environment.filters["data_uri"] = data_uri
     return environment.get_template("template.html.j2").render(
         name=name,
-        headlines=headlines({setting: evaluation[setting] for setting in settings}),
-        tables=[_table(setting, evaluation[setting]) for setting in settings],
+        headlines=headlines(results.evaluation, results.versus),
+        settings=[
+            {
+                "name": setting_label(setting),
+                "n_episodes": n_episodes(measures),
+                "tables": tables(measures, results.versus[setting]),
+            }
+            for setting, measures in results.evaluation.items()
+        ],
+        claims=claims,
         sections=sections,
         provenance=provenance,
     )
@@ -121,114 +109,6 @@ def build_page(
 def settings_in_order(evaluation: Mapping[str, Any], leading: str) -> list[str]:
     """The leading setting first, the others as they come."""
     return sorted(evaluation, key=lambda setting: setting != leading)
-
-
-def headlines(evaluation: Mapping[str, Mapping[str, Measures]]) -> list[tuple[str, str]]:
-    """The result over all settings, if there are several, then setting by setting."""
-    by_setting = [headline(setting, measures) for setting, measures in evaluation.items()]
-    planners = list(next(iter(evaluation.values())))
-    if len(evaluation) < 2 or len(planners) < 2:
-        return by_setting
-    return [_overall(evaluation, [planner for planner in planners if planner != ADAPTIVE]), *by_setting]
-
-
-def _overall(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[str]) -> tuple[str, str]:
-    """Who gets through whatever comes: every planner is taken by its weakest setting."""
-
-    def weakest(planner: str) -> str:
-        return min(evaluation, key=lambda setting: evaluation[setting][planner]["success_rate"])
-
-    def measured(planner: str) -> Measures:
-        return evaluation[weakest(planner)][planner]
-
-    best = max(rivals, key=lambda planner: measured(planner)["success_rate"])
-    ours, theirs = measured(ADAPTIVE), measured(best)
-    is_ahead = ours["success_rate"] - theirs["success_rate"] > 2 * _standard_error(ours, theirs)
-    verdict = "beats" if is_ahead else "does not beat"
-    figures = (
-        f"{planner_label(planner)} succeeds in at least "
-        f"{100 * measured(planner)['success_rate']:.1f} % of the episodes ({setting_label(weakest(planner)).lower()})"
-        for planner in (ADAPTIVE, best)
-    )
-    text = f"{'; '.join(figures).capitalize()}, the best of the others."
-    return f"Over all settings the adaptive planner {verdict} every other one.", text
-
-
-def headline(setting: str, measures: Mapping[str, Measures]) -> tuple[str, str]:
-    """The result in one setting in plain words: the verdict and the figures behind it.
-
-    The adaptive planner is set against the best of the others, by success rate, then by reward. It is level
-    with it when the success rates differ by less than two standard errors; then the driving times are told.
-    """
-    rivals = [planner for planner in measures if planner != ADAPTIVE]
-    if not rivals:
-        return f"{setting_label(setting)}: {_achievement(ADAPTIVE, measures[ADAPTIVE])}.", ""
-    best = max(rivals, key=lambda planner: (measures[planner]["success_rate"], measures[planner]["reward"]))
-    ours, theirs = measures[ADAPTIVE], measures[best]
-    verdict = f"{setting_label(setting)}: {_verdict(ours, theirs, planner_label(best))}."
-    parts = (_achievement(ADAPTIVE, ours), f"{_achievement(best, theirs)} (the best of the others)")
-    return verdict, f"{'; '.join(parts).capitalize()}. {ours['n_episodes']} episodes each."
-
-
-def _verdict(ours: Measures, theirs: Measures, rival: str) -> str:
-    ahead = ours["success_rate"] - theirs["success_rate"]
-    if abs(ahead) > 2 * _standard_error(ours, theirs):
-        n_points = 100 * abs(ahead)
-        points = f"{n_points:.{0 if n_points >= 10 else 1}f} points of success rate"
-        return f"the adaptive planner {'beats' if ahead > 0 else 'loses to'} {rival} by {points}"
-    if not (ours["driving_time_s"] and theirs["driving_time_s"]):
-        return f"the adaptive planner and {rival} succeed equally often"
-    slower = ours["driving_time_s"] - theirs["driving_time_s"]
-    pace = "as fast" if abs(slower) < 0.05 else f"{abs(slower):.1f} s {'slower' if slower > 0 else 'faster'}"
-    return f"the adaptive planner succeeds as often as {rival} and is {pace}"
-
-
-def _standard_error(ours: Measures, theirs: Measures) -> float:
-    """Of the difference of two success rates, if both were the same."""
-    n_ours, n_theirs = ours["n_episodes"], theirs["n_episodes"]
-    pooled = (ours["success_rate"] * n_ours + theirs["success_rate"] * n_theirs) / (n_ours + n_theirs)
-    return math.sqrt(pooled * (1 - pooled) * (1 / n_ours + 1 / n_theirs))
-
-
-def _achievement(planner: str, measures: Measures) -> str:
-    time_s = measures["driving_time_s"]
-    pace = "the ego never arrives" if time_s is None else f"driving time {time_s:.1f} s"
-    success, collision = (100 * measures[key] for key in ("success_rate", "collision_rate"))
-    return f"{planner_label(planner)}: {success:.1f} % success, {collision:.1f} % collisions, {pace}"
-
-
-def _table(setting: str, measures: Mapping[str, Measures]) -> dict[str, Any]:
-    """What the template needs of one setting: planner names and rows of formatted numbers."""
-    values = {row: [measures[planner][row.key] for planner in measures] for row in _ROWS}
-    rows = [
-        {
-            "label": row.label,
-            "cells": [
-                {"text": _number(row, value), "is_best": is_best}
-                for value, is_best in zip(values[row], _best(row, values[row]), strict=True)
-            ],
-        }
-        for row in _ROWS
-    ]
-    return {
-        "setting": setting_label(setting),
-        "planners": [planner_label(planner) for planner in measures],
-        "rows": rows,
-    }
-
-
-def _number(row: _Row, value: float | None) -> str:
-    return "none" if value is None else f"{row.factor * value:.{row.decimals}f}".replace("-", "\N{MINUS SIGN}")
-
-
-def _best(row: _Row, values: Sequence[float | None]) -> list[bool]:
-    """Which values are the best of their row as printed; none if all are the same."""
-    texts = [_number(row, value) for value in values]
-    known = [value for value in values if value is not None]
-    if row.best is None or not known or len(set(texts)) == 1:
-        return [False] * len(values)
-    best = _number(row, max(known) if row.best == "max" else min(known))
-    return [text == best for text in texts]
 
 
 def data_uri(image: bytes) -> str:

@@ -10,6 +10,7 @@ from negopipe.driver import MakeDriver
 from negopipe.env import Game
 from negopipe.errors import UserError
 from negopipe.evaluation import metrics
+from negopipe.evaluation.comparison import versus_adaptive
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.planners import adaptive_planner, by_horizon
 from negopipe.evaluation.safety import safety
@@ -58,7 +59,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     table.to_csv(run.folder / "episodes.csv", index=False)
     save_traces(run.folder / "traces.npz", traces)
     summary = metrics.summary(table)
-    run.update_metrics_json(summary)
+    run.update_metrics_json(summary | versus_adaptive(table))
     run.log_artifact(run.folder / "episodes.csv")
     run.log_metrics(_scalars(summary), step=0)
     _say(summary)

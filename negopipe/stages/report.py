@@ -17,23 +17,26 @@ import torch
 from matplotlib.figure import Figure
 
 from negopipe.errors import UserError
+from negopipe.evaluation.claims import Claim, judge_claims
 from negopipe.evaluation.metrics import NEAREST
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.animation import Scene
 from negopipe.report.captions import NOT_TRAINED, WATCH, caption
 from negopipe.report.figures import planner_label, setting_label
+from negopipe.report.headlines import headlines
 from negopipe.report.page import (
     Exhibit,
     Provenance,
     ReportConfig,
+    Results,
     Section,
     build_page,
-    headlines,
     settings_in_order,
 )
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
+from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -41,6 +44,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
+RESULTS = ("evaluation", "versus_adaptive")
+"""Parts of metrics.json that the page shows."""
 PACKAGES = ("negopipe", "torch", "numpy", "pandas", "matplotlib", "hydra-core", "mlflow")
 """Whose versions the page names."""
 
@@ -67,17 +72,20 @@ class _Gallery:
 
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
-    """Write figures/, animations/ and report.html into the run folder and log them as artifacts.
+    """Write claims.json, figures/, animations/ and report.html into the run folder and log them as artifacts.
 
     Raises UserError if a file that an earlier stage writes is missing, or if the planners that are shown side
     by side were not evaluated on the same tasks.
     """
-    measures = _read_evaluation(run.folder)
-    settings = settings_in_order(measures, config.evaluation.leading_setting)
+    metrics = _read_metrics(run.folder)
+    settings = settings_in_order(metrics["evaluation"], config.evaluation.leading_setting)
     shown = [ADAPTIVE, *config.report.side_by_side]
     traces = _by_setting(load_traces(run.folder / "traces.npz"), settings, shown)
     table = _in_order(_read_csv(run.folder / "episodes.csv", "evaluate"), settings)
-    evaluation = {setting: {t.planner: measures[setting][t.planner] for t in traces[setting]} for setting in settings}
+    planners = list(table["planner"].unique())
+    results = Results(*({setting: _pick(metrics[part][setting], planners) for setting in settings} for part in RESULTS))
+    claims = judge_claims(table, [trace for group in traces.values() for trace in group])
+    _write_claims(run, claims)
     drawings = _Gallery(run.folder / "figures", config.report.figure_formats)
     films = _Gallery(run.folder / "animations")
     road = Road(config.scenario.road)
@@ -89,13 +97,13 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
         _behaviour(drawings, traces),
         _training(drawings, run.folder / "history.csv"),
     ]
-    page = build_page(config.name, settings[0], evaluation, sections, _provenance(config.seed, run.folder))
+    page = build_page(config.name, results, claims, sections, _provenance(config.seed, run.folder))
     (run.folder / "report.html").write_text(page, encoding="utf-8")
     for gallery in (drawings, films):
         if any(gallery.folder.iterdir()):
             run.log_artifact(gallery.folder, gallery.folder.name)
     run.log_artifact(run.folder / "report.html")
-    run.set_description("\n\n".join(" ".join(lines) for lines in headlines(evaluation)))
+    run.set_description("\n\n".join(" ".join(lines) for lines in headlines(results.evaluation, results.versus)))
     log.info("report: %s", run.folder / "report.html")
 
 
@@ -207,13 +215,24 @@ def _training(gallery: _Gallery, history: Path) -> Section:
     return Section("Training", "", [gallery.figure("training", figures.training(table), title, reading)])
 
 
-def _read_evaluation(folder: Path) -> dict[str, Any]:
-    """setting -> planner -> measures, from metrics.json."""
+def _read_metrics(folder: Path) -> dict[str, Any]:
     path = folder / "metrics.json"
     metrics = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    if "evaluation" not in metrics:
+    if not set(RESULTS) <= metrics.keys():
         raise UserError(f"{path}: no results of an evaluation; run the stage `evaluate` first")
-    return metrics["evaluation"]
+    return metrics
+
+
+def _pick(by_planner: Mapping[str, Any], planners: Sequence[str]) -> dict[str, Any]:
+    """In the order of the planners; JSON has sorted them."""
+    return {planner: by_planner[planner] for planner in planners if planner in by_planner}
+
+
+def _write_claims(run: "TrackedRun", claims: Sequence[Claim]) -> None:
+    path = run.folder / "claims.json"
+    text = json.dumps([claim.as_dict() for claim in claims], indent=2, ensure_ascii=False, allow_nan=False)
+    write_whole(path, f"{text}\n".encode())
+    run.log_artifact(path)
 
 
 def _read_csv(path: Path, stage: str) -> pd.DataFrame:

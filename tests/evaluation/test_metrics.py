@@ -123,27 +123,33 @@ def test_behaviour_index_is_equation_7() -> None:
 def table() -> pd.DataFrame:
     """Two settings, the first with two planners; planner `a` has one episode of every outcome."""
     rows = [
-        ("a", "push", "success", 8.0, 0, 0.0, 1.0),
-        ("a", "push", "collision", np.nan, 0, 0.0, -11.0),
-        ("a", "push", "deadlock", np.nan, 1, 14.0, -32.0),
-        ("a", "push", "timeout", 20.0, 2, 4.0, -32.0),
-        ("b", "push", "deadlock", np.nan, 1, 15.0, -32.0),
-        ("a", "yield", "success", 14.0, 1, 3.0, -7.0),
+        ("a", "push", "success", 8.0, 0, 0.0, 1.0, "ego"),
+        ("a", "push", "collision", np.nan, 0, 0.0, -11.0, "none"),
+        ("a", "push", "deadlock", np.nan, 1, 14.0, -32.0, "none"),
+        ("a", "push", "timeout", 20.0, 2, 4.0, -32.0, "ego"),
+        ("b", "push", "deadlock", np.nan, 1, 15.0, -32.0, "none"),
+        ("a", "yield", "success", 14.0, 1, 3.0, -7.0, "social"),
     ]
-    names = ["planner", "setting", "outcome", "driving_time_s", "suspend_count", "suspend_time_s", "reward"]
-    return pd.DataFrame(rows, columns=names)
+    driven = ["driving_time_s", "suspend_count", "suspend_time_s", "reward", "passes_first"]
+    return pd.DataFrame(rows, columns=["planner", "setting", "outcome", *driven])
 
 
 def test_summary_by_hand() -> None:
     evaluation = summary(table())["evaluation"]
     assert list(evaluation) == ["push", "yield"]
     assert list(evaluation["push"]) == ["a", "b"]
+    low, high = 0.0456, 0.6994  # Wilson (1927): 1 of 4
     assert evaluation["push"]["a"] == {
         "success_rate": 0.25,
+        "success_low": pytest.approx(low, abs=1e-4),
+        "success_high": pytest.approx(high, abs=1e-4),
         "collision_rate": 0.25,
+        "collision_low": pytest.approx(low, abs=1e-4),
+        "collision_high": pytest.approx(high, abs=1e-4),
         "timeout_rate": 0.5,
         "deadlock_rate": 0.25,
         "arrival_rate": 0.5,
+        "ego_first_rate": 0.5,
         "driving_time_s": 14.0,
         "suspend_count": 0.75,
         "suspend_time_s": 4.5,

@@ -5,8 +5,10 @@ import pandas as pd
 import pytest
 
 from negopipe.evaluation.metrics import episodes
+from negopipe.evaluation.safety import safety
 from negopipe.evaluation.trace import Trace
 from negopipe.report.animation import Scene
+from negopipe.simulation.scenario import VehicleConfig
 
 DT_S = 0.2
 N_STEPS = 128
@@ -146,7 +148,9 @@ def traces() -> list[Trace]:
 
 @pytest.fixture(scope="session")
 def table(traces: list[Trace]) -> pd.DataFrame:
-    return pd.concat([episodes(trace, CORRIDOR_M) for trace in traces], ignore_index=True)
+    vehicle = VehicleConfig(length_m=4.5, width_m=1.8)
+    rows = [episodes(trace, CORRIDOR_M).join(safety(trace, vehicle, 8.0)) for trace in traces]
+    return pd.concat(rows, ignore_index=True)
 
 
 @pytest.fixture(scope="session")

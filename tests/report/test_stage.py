@@ -13,6 +13,7 @@ import yaml
 from pydantic import TypeAdapter
 
 from negopipe.errors import UserError
+from negopipe.evaluation.comparison import versus_adaptive
 from negopipe.evaluation.metrics import summary
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
 from negopipe.report.page import ReportConfig
@@ -68,7 +69,8 @@ def run(tmp_path: Path, traces: list[Trace], table: pd.DataFrame, history: pd.Da
     save_traces(tmp_path / "traces.npz", [trace for trace in traces if trace.planner in PLANNERS])
     table.to_csv(tmp_path / "episodes.csv", index=False)
     history.to_csv(tmp_path / "history.csv", index=False)
-    (tmp_path / "metrics.json").write_text(json.dumps(summary(table), sort_keys=True))
+    measured = summary(table) | versus_adaptive(table)
+    (tmp_path / "metrics.json").write_text(json.dumps(measured, sort_keys=True))
     (tmp_path / "config.yaml").write_text("name: push\nseed: 3\n")
     return Run(tmp_path)
 
@@ -83,7 +85,17 @@ def test_everything_is_written_and_logged(run: Run) -> None:
     images = re.findall(r'<img src="(data:image/[a-z+]+);', page)
     assert images.count("data:image/svg+xml") == 8
     assert images.count("data:image/gif") == 4  # in each setting one alone and one side by side
-    assert run.artifacts == [("figures", "figures"), ("animations", "animations"), ("report.html", "")]
+    assert run.artifacts == [
+        ("claims.json", ""),
+        ("figures", "figures"),
+        ("animations", "animations"),
+        ("report.html", ""),
+    ]
+    claims = json.loads((run.folder / "claims.json").read_text())
+    assert [claim["number"] for claim in claims] == list(range(1, 11))
+    assert all(claim["words"].replace('"', "&#34;") in page for claim in claims)
+    assert {claim["verdict"] for claim in claims[:9]} <= {"holds", "does not hold", "undecided"}
+    assert claims[9]["verdict"] == "not tested"
     over_all, push, *_ = run.description.split("\n\n")
     assert over_all.startswith("Over all settings the adaptive planner")
     assert push.startswith("Push: the adaptive planner")

@@ -1,0 +1,319 @@
+"""The paper's claims, put to the test on evaluated episodes (Reading: claims of the paper).
+
+What the paper compares is the policy and the fixed horizons, so the other planners do not count here. A claim about
+which planner is best holds if none of the others is better: for each of them the interval of the difference on the
+same tasks excludes that. Where an interval leaves it open, the claim is undecided.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from negopipe.evaluation.metrics import behaviour_index
+from negopipe.evaluation.statistics import (
+    Estimate,
+    difference_of_means,
+    mean_difference,
+    rate,
+    spread_difference,
+)
+from negopipe.evaluation.trace import ADAPTIVE, Trace
+
+Verdict = Literal["holds", "does not hold", "undecided", "not tested"]
+
+COMPLETES = 0.95
+"""A planner completes a setting if so large a share of the episodes is a success, and fails it up to 1 less this."""
+CLEAR_RAD = np.radians(5.0)
+"""From here on psi counts as positive or negative: both vehicles start with it at zero."""
+RANDOM_SEED = 0
+"""Of the bootstrap: the same episodes give the same intervals."""
+
+PERCENT = (100.0, " %")
+SECONDS = (1.0, " s")
+PLAIN = (1.0, "")
+METRES = (1.0, " m")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A figure that bears on a claim, in the unit that `text` names; low and high bound its 95 % interval."""
+
+    text: str
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim and what became of it.
+
+    number: in the list of reading.md
+    words: the paper's
+    rule: when it holds
+    findings: the figures that decide it
+    """
+
+    number: int
+    words: str
+    rule: str
+    verdict: Verdict
+    findings: Sequence[Finding]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON, which knows no NaN."""
+        plain = asdict(self)
+        for finding in plain["findings"]:
+            finding |= {name: None if np.isnan(finding[name]) else finding[name] for name in ("value", "low", "high")}
+        return plain
+
+
+Tested = tuple[Verdict, list[Finding]]
+
+
+class _Evidence:
+    """The episodes that the paper's claims are about, and comparisons of them."""
+
+    def __init__(self, table: pd.DataFrame, traces: Sequence[Trace]) -> None:
+        self.rng = np.random.default_rng(RANDOM_SEED)
+        self.fixed = sorted({name for name in table["planner"] if name.startswith("fixed_")}, key=_horizon)
+        self.psi = {trace.family: behaviour_index(trace) for trace in traces if trace.planner == ADAPTIVE}
+        compared = table[table["planner"].isin([ADAPTIVE, *self.fixed])]
+        by_task = compared.groupby(["setting", "episode"])["planner"]
+        is_driven_by_all = by_task.transform("nunique") == 1 + len(self.fixed)  # some may have driven the first only
+        self._table = compared[is_driven_by_all].assign(is_first=compared["passes_first"] == "ego")
+
+    def has(self, *settings: str) -> bool:
+        return bool(self.fixed) and all(setting in self.psi for setting in settings)
+
+    def measured(self, measure: str, *settings: str) -> pd.DataFrame:
+        """A row per task of the settings, a column per planner; NaN where a planner has no such figure."""
+        rows = self._table[self._table["setting"].isin(settings)]
+        return rows.pivot_table(measure, ["setting", "episode"], "planner", dropna=False)
+
+    def succeeds(self, setting: str) -> dict[str, Estimate]:
+        """Success rate of each planner."""
+        rows = self._table[self._table["setting"] == setting]
+        return {
+            p: rate((rows.loc[rows["planner"] == p, "outcome"] == "success").to_numpy())
+            for p in rows["planner"].unique()
+        }
+
+    def ahead(self, measure: str, setting: str) -> dict[str, Estimate]:
+        """The policy's measure less each fixed horizon's, on the tasks where both have one."""
+        values = self.measured(measure, setting)
+        return {
+            planner: mean_difference(both[ADAPTIVE].to_numpy(), both[planner].to_numpy(), self.rng)
+            for planner in self.fixed
+            if len(both := values[[ADAPTIVE, planner]].dropna())
+        }
+
+
+def judge_claims(table: pd.DataFrame, traces: Sequence[Trace]) -> list[Claim]:
+    """All ten claims.
+
+    table: rows of `metrics.episodes` with the columns of `safety`, of all planners and settings
+    traces: of the policy, for the behaviour index
+    """
+    evidence = _Evidence(table, traces)
+    return [_test(evidence, number, *claim) for number, claim in enumerate(_CLAIMS, start=1)]
+
+
+def _test(
+    evidence: _Evidence,
+    number: int,
+    words: str,
+    rule: str,
+    settings: Sequence[str],
+    test: Callable[[_Evidence], Tested] | None,
+) -> Claim:
+    is_tested = test is not None and evidence.has(*settings)
+    verdict, findings = test(evidence) if test is not None and is_tested else ("not tested", [])
+    return Claim(number, words, rule, verdict, findings)
+
+
+def _push_is_completed(evidence: _Evidence) -> Tested:
+    share, slower = evidence.succeeds("push"), evidence.ahead("driving_time_s", "push")
+    verdicts = [*(_at_least(each, COMPLETES) for each in share.values()), *_none_better(slower, -1)]
+    return _all(verdicts), [*_told("success of {}", share, PERCENT), *_told("time less that of {}", slower, SECONDS)]
+
+
+def _push_suspends_least(evidence: _Evidence) -> Tested:
+    ahead = evidence.ahead("suspend_count", "push")
+    return _all(_none_better(ahead, -1)), _told("suspensions less those of {}", ahead, PLAIN)
+
+
+def _rewarded_most(setting: str) -> Callable[[_Evidence], Tested]:
+    def test(evidence: _Evidence) -> Tested:
+        ahead = evidence.ahead("reward", setting)
+        return _all(_none_better(ahead, 1)), _told("reward less that of {}", ahead, PLAIN)
+
+    return test
+
+
+def _only_the_policy_yields(evidence: _Evidence) -> Tested:
+    share = evidence.succeeds("yield")
+    others = [_opposite(_at_least(share[planner], 1 - COMPLETES)) for planner in evidence.fixed]
+    return _all([_at_least(share[ADAPTIVE], COMPLETES), *others]), _told("success of {}", share, PERCENT)
+
+
+def _yield_suspends_between(evidence: _Evidence) -> Tested:
+    in_yield, in_push = (evidence.measured("suspend_count", s)[ADAPTIVE].to_numpy() for s in ("yield", "push"))
+    more, less = difference_of_means(in_yield, in_push, evidence.rng), evidence.ahead("suspend_count", "yield")
+    findings = [_finding("suspensions in yield less those in push", more, PLAIN)]
+    findings += _told("in yield, suspensions less those of {}", less, PLAIN)
+    return _all([_is_positive(more), *_none_better(less, -1)]), findings
+
+
+def _behaviour_fits(evidence: _Evidence) -> Tested:
+    push, yield_ = evidence.psi["push"], evidence.psi["yield"]
+    stays_negative = rate(~(push > CLEAR_RAD).any(0))
+    first = _first(np.abs(yield_) > CLEAR_RAD)
+    is_positive_first = np.take_along_axis(yield_, first[None], 0)[0] > CLEAR_RAD
+    is_after = np.arange(len(yield_))[:, None] > first
+    turns = rate(is_positive_first & ((yield_ < -CLEAR_RAD) & is_after).any(0))
+    verdicts = [_at_least(share, 0.5) for share in (stays_negative, turns)]
+    return _all(verdicts), [
+        _finding("push: episodes in which psi stays negative", stays_negative, PERCENT),
+        _finding("yield: episodes in which psi is positive first", rate(is_positive_first), PERCENT),
+        _finding("yield: ... and negative later", turns, PERCENT),
+    ]
+
+
+def _shorter_is_bolder(evidence: _Evidence) -> Tested:
+    first = evidence.measured("is_first", "push", "yield")
+    gap = evidence.measured("smallest_gap_m", "push", "yield")
+    pairs = [*zip(evidence.fixed, evidence.fixed[1:], strict=False), (evidence.fixed[0], evidence.fixed[-1])]
+    more, closer = {}, {}
+    for shorter, longer in pairs:
+        pair = f"{_label(shorter)} against {_label(longer)}"
+        more[pair] = mean_difference(first[shorter].to_numpy(), first[longer].to_numpy(), evidence.rng)
+        kept = gap[[shorter, longer]].dropna()
+        closer[pair] = mean_difference(kept[longer].to_numpy(), kept[shorter].to_numpy(), evidence.rng)
+    ends = [_is_positive(found[pair]) for found in (more, closer)]
+    findings = [_finding(f"passes first more often, {pair}", found, PERCENT) for pair, found in more.items()]
+    findings += [_finding(f"comes closer, {pair}", found, METRES) for pair, found in closer.items()]
+    return _all([*_none_better(more, 1), *_none_better(closer, 1), *ends]), findings
+
+
+def _spreads_least(evidence: _Evidence) -> Tested:
+    reward = evidence.measured("reward", "push", "yield")
+    wider = {
+        planner: spread_difference(reward[planner].to_numpy(), reward[ADAPTIVE].to_numpy(), evidence.rng)
+        for planner in evidence.fixed
+    }
+    return _all(_none_better(wider, 1)), _told("spread (std) of the reward of {}, less the policy's", wider, PLAIN)
+
+
+def _none_better(ahead: Mapping[str, Estimate], sign: int) -> list[Verdict]:
+    """Per rival, whether it is not better; sign: 1 if more is better, -1 if less is."""
+    bounds = [(e.low, e.high) if sign > 0 else (-e.high, -e.low) for e in ahead.values()]
+    return [_judge(is_shown=low >= 0, is_refuted=high < 0) for low, high in bounds]
+
+
+def _at_least(estimate: Estimate, threshold: float) -> Verdict:
+    return _judge(is_shown=estimate.low >= threshold, is_refuted=estimate.high < threshold)
+
+
+def _is_positive(estimate: Estimate) -> Verdict:
+    return _judge(is_shown=estimate.low > 0, is_refuted=estimate.high <= 0)
+
+
+def _judge(*, is_shown: bool, is_refuted: bool) -> Verdict:
+    if is_shown:
+        return "holds"
+    return "does not hold" if is_refuted else "undecided"
+
+
+def _opposite(verdict: Verdict) -> Verdict:
+    return {"holds": "does not hold", "does not hold": "holds"}.get(verdict, verdict)  # type: ignore[return-value]
+
+
+def _all(verdicts: Iterable[Verdict]) -> Verdict:
+    """Of several conditions that must all hold."""
+    found = set(verdicts)
+    if "does not hold" in found:
+        return "does not hold"
+    return "undecided" if "undecided" in found else "holds"
+
+
+def _told(text: str, estimates: Mapping[str, Estimate], unit: tuple[float, str]) -> list[Finding]:
+    return [_finding(text.format(_label(planner)), estimate, unit) for planner, estimate in estimates.items()]
+
+
+def _finding(text: str, e: Estimate, unit: tuple[float, str]) -> Finding:
+    scale, name = unit
+    return Finding(text + (f" [{name.strip()}]" if name else ""), scale * e.value, scale * e.low, scale * e.high)
+
+
+def _first(is_so: np.ndarray) -> np.ndarray:
+    """[T, E] -> [E], the first index that is true, the last one where none is."""
+    return np.where(is_so.any(0), is_so.argmax(0), len(is_so) - 1)
+
+
+def _horizon(planner: str) -> float:
+    return float(planner.removeprefix("fixed_"))
+
+
+def _label(planner: str) -> str:
+    return planner.replace("_", " ") + (" s" if planner != ADAPTIVE else "")
+
+
+_NONE_BETTER = "for no fixed horizon does the 95 % interval of the difference on the same tasks show it to be better"
+_CLAIMS: Sequence[tuple[str, str, Sequence[str], Callable[[_Evidence], Tested] | None]] = (
+    (
+        'Push: "all the algorithm could complete driving task in limit time, while the adaptive behavior planner has '
+        'better driving efficiency"',
+        f"every planner succeeds in at least {COMPLETES:.0%} of the episodes, and where both arrive {_NONE_BETTER}",
+        ["push"],
+        _push_is_completed,
+    ),
+    ('Push: the adaptive planner takes "less suspend time"', _NONE_BETTER, ["push"], _push_suspends_least),
+    ('Push: "tends to have a higher reward"', _NONE_BETTER, ["push"], _rewarded_most("push")),
+    (
+        'Yield: "except the proposed algorithm, other schemes could not reach the goal position in limit time"',
+        f"the policy succeeds in at least {COMPLETES:.0%}, every fixed horizon in less than {1 - COMPLETES:.0%}",
+        ["yield"],
+        _only_the_policy_yields,
+    ),
+    (
+        'Yield: "the suspend time tends to be more than that in push experiment setting"; less than the fixed ones do',
+        f"the policy suspends more often than in push, and in yield {_NONE_BETTER}",
+        ["push", "yield"],
+        _yield_suspends_between,
+    ),
+    (
+        'Yield: "our framework has a higher reward than the polynomial planner with fixed prediction horizon"',
+        _NONE_BETTER,
+        ["yield"],
+        _rewarded_most("yield"),
+    ),
+    (
+        "Push: the behaviour index stays negative. Yield: it is positive first, negative later",
+        "so it is in most episodes (beyond 5 degrees)",
+        ["push", "yield"],
+        _behaviour_fits,
+    ),
+    (
+        "A shorter prediction horizon gives more aggressive driving",
+        "push and yield together: the shortest fixed horizon passes first more often and comes closer than the "
+        "longest, and none passes first less often or stays farther off than the next longer one",
+        ["push", "yield"],
+        _shorter_is_bolder,
+    ),
+    (
+        '"The performance of our proposed framework has better stability"',
+        "push and yield together: no fixed horizon's reward spreads less",
+        ["push", "yield"],
+        _spreads_least,
+    ),
+    (
+        'The curriculum helps "to enhance the training efficiency and robustness"',
+        "needs trainings with and without it: jobs/ablation_curriculum.sh",
+        [],
+        None,
+    ),
+)

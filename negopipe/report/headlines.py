@@ -1,0 +1,105 @@
+"""What a run has shown, in plain words: the first lines of the page and the run's description."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from negopipe.evaluation.trace import ADAPTIVE
+from negopipe.report.figures import planner_label, setting_label
+
+Measures = Mapping[str, Any]
+"""The measures of one planner in one setting, as `evaluation.metrics.summary` names them."""
+Versus = Mapping[str, Mapping[str, Any]]
+"""What `evaluation.comparison.versus_adaptive` says of one planner in one setting, by the measure."""
+
+
+def headlines(
+    evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[str, Mapping[str, Versus]]
+) -> list[tuple[str, str]]:
+    """Verdict and figures behind it: over all settings, if there are several, then setting by setting.
+
+    evaluation: setting -> planner -> measures, the first setting first
+    versus: setting -> planner other than the policy -> differences to it
+    """
+    by_setting = [headline(setting, measures, versus[setting]) for setting, measures in evaluation.items()]
+    rivals = [planner for planner in next(iter(evaluation.values())) if planner != ADAPTIVE]
+    if len(evaluation) < 2 or not rivals:
+        return by_setting
+    return [_overall(evaluation, rivals), *by_setting]
+
+
+def _overall(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[str]) -> tuple[str, str]:
+    """Who gets through whatever comes: every planner is taken by its weakest setting. The settings may differ, so
+    the policy is ahead where its interval lies above the other's."""
+
+    def weakest(planner: str) -> str:
+        return min(evaluation, key=lambda setting: evaluation[setting][planner]["success_rate"])
+
+    def measured(planner: str) -> Measures:
+        return evaluation[weakest(planner)][planner]
+
+    best = max(rivals, key=lambda planner: (measured(planner)["success_rate"], measured(planner)["reward"]))
+    figures = (
+        f"{planner_label(planner)} succeeds in at least "
+        f"{100 * measured(planner)['success_rate']:.1f} % of the episodes ({setting_label(weakest(planner)).lower()})"
+        for planner in (ADAPTIVE, best)
+    )
+    rewards = ", ".join(
+        f"{each[ADAPTIVE]['reward']:.2f} against {each[best]['reward']:.2f} ({setting_label(setting).lower()})"
+        for setting, each in evaluation.items()
+    )
+    verdict = (
+        f"Over all settings the adaptive planner succeeds {_reliability(measured(ADAPTIVE), measured(best))} "
+        f"{planner_label(best)}, the best of the others."
+    )
+    return verdict, f"{'; '.join(figures).capitalize()}. Reward: {rewards}."
+
+
+def _reliability(ours: Measures, theirs: Measures) -> str:
+    if ours["success_low"] > theirs["success_high"]:
+        return "more reliably than"
+    return "less reliably than" if ours["success_high"] < theirs["success_low"] else "as reliably as"
+
+
+def headline(setting: str, measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> tuple[str, str]:
+    """The adaptive planner set against the best of the others, by success rate, then by reward."""
+    rivals = [planner for planner in measures if planner != ADAPTIVE]
+    if not rivals:
+        return f"{setting_label(setting)}: {_achievement(ADAPTIVE, measures[ADAPTIVE])}.", ""
+    best = max(rivals, key=lambda planner: (measures[planner]["success_rate"], measures[planner]["reward"]))
+    ours, theirs = measures[ADAPTIVE], measures[best]
+    verdict = f"{setting_label(setting)}: {_verdict(versus[best], planner_label(best))}."
+    parts = (_achievement(ADAPTIVE, ours), f"{_achievement(best, theirs)} (the best of the others)")
+    n_tasks = versus[best]["success"]["n_tasks"]
+    return verdict, f"{'; '.join(parts).capitalize()}. Differences on the same {n_tasks} tasks, with 95 % intervals."
+
+
+def _verdict(versus: Versus, rival: str) -> str:
+    """Success decides where its paired interval excludes zero, else the driving time is told."""
+    success, time = (versus[measure] for measure in ("success", "driving_time_s"))
+    if not _includes_zero(success):
+        verb = "loses to" if success["value"] > 0 else "beats"
+        return f"the adaptive planner {verb} {rival} by {_interval(success, 100, 1)} points of success rate"
+    if not time["n_tasks"]:
+        return f"the adaptive planner and {rival} succeed equally often"
+    if _includes_zero(time):
+        return f"the adaptive planner succeeds as often as {rival} and is as fast"
+    pace = "faster" if time["value"] > 0 else "slower"
+    return f"the adaptive planner succeeds as often as {rival} and is {_interval(time, 1, 2)} s {pace}"
+
+
+def _includes_zero(difference: Mapping[str, Any]) -> bool:
+    """So does one whose interval is not known."""
+    return difference["low"] is None or difference["low"] <= 0 <= difference["high"]
+
+
+def _interval(difference: Mapping[str, Any], factor: float, decimals: int) -> str:
+    """`1.50 [1.20, 1.80]`, without the sign."""
+    low, high = sorted(abs(factor * difference[bound]) for bound in ("low", "high"))
+    return f"{abs(factor * difference['value']):.{decimals}f} [{low:.{decimals}f}, {high:.{decimals}f}]"
+
+
+def _achievement(planner: str, measures: Measures) -> str:
+    time_s = measures["driving_time_s"]
+    pace = "the ego never arrives" if time_s is None else f"driving time {time_s:.1f} s"
+    success, collision = (100 * measures[key] for key in ("success_rate", "collision_rate"))
+    return f"{planner_label(planner)}: {success:.1f} % success, {collision:.1f} % collisions, {pace}"

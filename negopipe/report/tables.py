@@ -1,0 +1,127 @@
+"""The page's tables of numbers: a row per planner, so that any number of planners fits a phone's width."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from negopipe.report.figures import planner_colors, planner_label
+from negopipe.report.headlines import Measures, Versus
+
+
+@dataclass(frozen=True)
+class _Column:
+    """label: with the unit; key: of the measure; bounds: keys of its interval; factor, decimals: how it is printed;
+    best: which end is good; is_signed: a difference, printed with its sign."""
+
+    label: str
+    key: str
+    factor: float = 1.0
+    decimals: int = 1
+    best: Literal["max", "min"] | None = None
+    bounds: tuple[str, str] | None = None
+    is_signed: bool = False
+
+
+ENDED = (
+    _Column("success [%]", "success_rate", 100, 1, "max", ("success_low", "success_high")),
+    _Column("collision [%]", "collision_rate", 100, 1, "min", ("collision_low", "collision_high")),
+    _Column("timeout [%]", "timeout_rate", 100),
+    _Column("of these dead-lock [%]", "deadlock_rate", 100),
+    _Column("reward (Eq. 3)", "reward", 1, 2, "max"),
+)
+DROVE = (
+    _Column("time of arrivals [s]", "driving_time_s"),
+    _Column("time at rest [s]", "suspend_time_s"),
+    _Column("suspen-sions", "suspend_count", 1, 2),
+    _Column("passes first [%]", "ego_first_rate", 100),
+)
+CAME_CLOSE = (
+    _Column("gap [m]", "smallest_gap_m", 1, 2),
+    _Column("time to colli-sion [s]", "smallest_ttc_s"),
+    _Column("braking [m/s²]", "largest_decel_mps2"),
+    _Column("jerk [m/s³]", "largest_jerk_mps3"),
+    _Column("avoidable colli-sions [%]", "avoidable_rate", 100),
+)
+COMPARED = tuple(
+    _Column(label, f"{measure}.value", factor, decimals, None, (f"{measure}.low", f"{measure}.high"), is_signed=True)
+    for label, measure, factor, decimals in (
+        ("success [points]", "success", 100, 1),
+        ("time where both arrive [s]", "driving_time_s", 1, 2),
+        ("reward", "reward", 1, 2),
+    )
+)
+
+
+def tables(measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> list[dict[str, Any]]:
+    """What the template needs of one setting: tables of captions, column labels and rows of formatted cells.
+
+    measures: planner -> measures; versus: planner other than the policy -> differences to it
+    """
+    tables_of_all = {
+        "How the episodes ended": ENDED,
+        "How the ego drove": DROVE,
+        "Closest and hardest of each episode, mean": CAME_CLOSE,
+    }
+    drawn = [_table(caption, columns, measures) for caption, columns in tables_of_all.items()]
+    if versus:
+        drawn.append(_table("Less the adaptive planner, on the same tasks", COMPARED, versus))
+    return drawn
+
+
+def n_episodes(measures: Mapping[str, Measures]) -> str:
+    """`500 episodes each`, with the planners that drove fewer of them."""
+    most = max(each["n_episodes"] for each in measures.values())
+    fewer = [f"{planner_label(p)} {each['n_episodes']}" for p, each in measures.items() if each["n_episodes"] < most]
+    return f"{most} episodes each" + (f" ({', '.join(fewer)}, the first ones)" if fewer else "")
+
+
+def _table(caption: str, columns: Sequence[_Column], planners: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    colors = planner_colors(list(planners))
+    by_column = [_cells(column, list(planners.values())) for column in columns]
+    rows = [
+        {"planner": planner_label(planner), "color": colors[planner], "cells": [cells[i] for cells in by_column]}
+        for i, planner in enumerate(planners)
+    ]
+    return {"caption": caption, "columns": [column.label for column in columns], "rows": rows}
+
+
+def _cells(column: _Column, planners: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    values = [_value(planner, column.key) for planner in planners]
+    cells = zip(planners, values, _best(column, values), strict=True)
+    return [
+        {"text": _number(column, value), "interval": _interval(column, planner), "is_best": is_best}
+        for planner, value, is_best in cells
+    ]
+
+
+def _value(values: Mapping[str, Any], key: str) -> float | None:
+    found: Any = values
+    for part in key.split("."):
+        found = found[part]
+    return found
+
+
+def _number(column: _Column, value: float | None) -> str:
+    if value is None:
+        return "none"
+    rounded = round(column.factor * value, column.decimals) + 0.0  # no negative zero
+    text = f"{rounded:{'+' if column.is_signed and rounded else ''}.{column.decimals}f}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _interval(column: _Column, values: Mapping[str, Any]) -> str:
+    """`low to high`, or nothing where there is no interval."""
+    bounds = [_value(values, key) for key in column.bounds or ()]
+    if not bounds or None in bounds:
+        return ""
+    return " to ".join(_number(column, bound) for bound in bounds)
+
+
+def _best(column: _Column, values: Sequence[float | None]) -> list[bool]:
+    """Which values are the best of their column as printed; none if all are the same."""
+    texts = [_number(column, value) for value in values]
+    known = [value for value in values if value is not None]
+    if column.best is None or not known or len(set(texts)) == 1:
+        return [False] * len(values)
+    best = _number(column, max(known) if column.best == "max" else min(known))
+    return [text == best for text in texts]

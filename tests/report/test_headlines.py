@@ -1,0 +1,78 @@
+"""Headlines: who wins, by how much, and only where more than chance says so."""
+
+from typing import Any
+
+import pytest
+from measured import measures, versus
+
+from negopipe.report.headlines import headline, headlines
+
+
+@pytest.mark.parametrize(
+    ("theirs", "verdict"),
+    [
+        (versus(-0.4), "beats fixed 2 s by 40.0 [35.0, 45.0] points"),
+        (versus(0.4), "loses to fixed 2 s by 40.0 [35.0, 45.0] points"),
+        (versus(0.02, time_s=1.5), "as often as fixed 2 s and is 1.50 [1.40, 1.60] s faster"),
+        (versus(0.02, time_s=-1.5), "as often as fixed 2 s and is 1.50 [1.40, 1.60] s slower"),
+        (versus(0.0, half=0.0, time_s=0.01), "as often as fixed 2 s and is as fast"),
+        (versus(0.0), "and fixed 2 s succeed equally often"),
+    ],
+)
+def test_headline_says_who_wins(theirs: dict[str, Any], verdict: str) -> None:
+    planners = {"adaptive": measures(0.9, 0.1, 14.0), "fixed_2": measures(0.9, 0.1, 14.0)}
+    text, detail = headline("push", planners, {"fixed_2": theirs})
+    assert text.startswith("Push: the adaptive planner")
+    assert verdict in text.replace("\N{NO-BREAK SPACE}", " ")
+    assert "90.0 % success" in detail
+    assert "on the same 100 tasks" in detail
+
+
+def test_one_task_says_nothing() -> None:
+    unknown = versus(-1.0)
+    for difference in unknown.values():
+        difference |= {"low": None, "high": None, "n_tasks": 1}
+    planners = {"adaptive": measures(1.0, 0.0, 14.0, n=1), "fixed_2": measures(0.0, 1.0, 14.0, n=1)}
+    assert "beats" not in headline("push", planners, {"fixed_2": unknown})[0]
+
+
+def test_headline_names_the_best_rival_and_does_without_one() -> None:
+    rivals = {"fixed_0": measures(0.1, 0.9, 8.0), "fixed_6": measures(0.6, 0.0, 15.0)}
+    differences = {"fixed_0": versus(-0.8), "fixed_6": versus(-0.3)}
+    text, detail = headline("yield", {"adaptive": measures(0.9, 0.1, 14.0), **rivals}, differences)
+    assert "fixed 6" in text
+    assert "15.0 s" in detail
+    alone, _ = headline("yield", {"adaptive": measures(0.9, 0.1, None)}, {})
+    assert "never arrives" in alone
+
+
+def test_first_headline_is_about_all_settings() -> None:
+    evaluation = {
+        "yield": {
+            "adaptive": measures(0.97, 0.0, 14.0),
+            "fixed_0": measures(0.0, 1.0, None),
+            "fixed_6": measures(1.0, 0.0, 14.0),
+        },
+        "push": {
+            "adaptive": measures(1.0, 0.0, 8.0),
+            "fixed_0": measures(1.0, 0.0, 8.0),
+            "fixed_6": measures(0.1, 0.0, 15.0),
+        },
+    }
+    differences = {
+        "yield": {"fixed_0": versus(-0.97), "fixed_6": versus(0.03)},
+        "push": {"fixed_0": versus(0.0), "fixed_6": versus(-0.9)},
+    }
+    (verdict, detail), *others = headlines(evaluation, differences)
+    assert "succeeds more reliably than fixed 6" in verdict
+    assert "Adaptive succeeds in at least 97.0 % of the episodes (yield)" in detail
+    detail = detail.replace("\N{NO-BREAK SPACE}", " ")
+    assert "; fixed 6 s succeeds in at least 10.0 % of the episodes (push)" in detail
+    assert [verdict.split(":")[0] for verdict, _ in others] == ["Yield", "Push"]
+    evaluation["push"]["fixed_6"] = measures(0.95, 0.0, 15.0)
+    level, rewards = headlines(evaluation, differences)[0]
+    assert "succeeds as reliably as fixed 6" in level
+    assert rewards.endswith("Reward: 4.70 against 5.00 (yield), 5.00 against 4.50 (push).")
+    evaluation["yield"]["adaptive"] = measures(0.5, 0.0, 14.0)
+    assert "succeeds less reliably than fixed 6" in headlines(evaluation, differences)[0][0]
+    assert len(headlines({"yield": evaluation["yield"]}, differences)) == 1
