@@ -34,7 +34,11 @@ from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.tracking.store import TrackingConfig
 
-Stage = Literal["train", "evaluate", "report", "behaviour_map", "oracle", "benchmark"]
+Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "benchmark"]
+
+
+EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
+"""<setting>/<planner>/<number>, columns of episodes.csv."""
 
 
 def _is_path(text: str) -> str:
@@ -67,7 +71,9 @@ N_TEMPORARIES = 16
 RECORD_BYTES = 100
 """Of one vehicle's step in a `Trace`, while it is put together."""
 
-RESULT_NEUTRAL = {"name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "tracking"}
+RESULT_NEUTRAL = {
+    *("name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "tracking")
+}
 """Keys that `run_name` leaves out of its hash: where a run is kept, which part of it runs now, how its
 results are shown. `n_threads` is among them because threads change rounding at most; `device` and `compile`
 are not: they draw and round differently. The seed stands beside the hash, so a config's seeds share it."""
@@ -83,6 +89,7 @@ class RunConfig:
     stages: Annotated[tuple[Stage, ...], Field(min_length=1)]
     objective: Annotated[tuple[str, ...], Field(min_length=1)]
     checkpoint: PathText | None
+    episode: EpisodeText | None
     rerun: bool
     reuse: Literal["same_code", "any_code"]
     device: Literal["auto", "cpu", "cuda"]
@@ -323,6 +330,8 @@ def _check_evaluation(config: RunConfig) -> None:
         raise UserError(f"evaluation.rivals must not name one {ADAPTIVE}, which is the policy")
     _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
+    if "replay" in config.stages and config.episode is None:
+        raise UserError("episode must be <setting>/<planner>/<number> for the stage replay, got null")
     if "report" in config.stages:
         _require("report.side_by_side", config.report.side_by_side, config.evaluation.rivals, "evaluation.rivals")
 

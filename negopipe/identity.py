@@ -16,13 +16,14 @@ DEPENDS_ON = {
     "train": _TRAINING,
     "evaluate": (*_TRAINING, "evaluation"),
     "report": (*_TRAINING, "evaluation", "report"),
+    "replay": (*_TRAINING, "evaluation", "report", "episode"),
     "behaviour_map": (*_GAME, "evaluation", "behaviour_map", "report"),
     "oracle": (*_GAME, "evaluation", "oracle"),
     "benchmark": (*_TRAINING, "n_threads", "evaluation", "benchmark", "tracking"),
 }
 """Groups of the config that a stage's result depends on, those of the stages that it builds on included."""
 
-STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report")
+STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report", "replay")
 """... and of a checkpoint, if one is named: evaluated is what was trained from it or, without training, itself."""
 
 NOT_TRAINED_ON = ("families",)

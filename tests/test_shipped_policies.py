@@ -24,7 +24,7 @@ def rates(experiment: str, setting: str, n_episodes: int) -> tuple[float, float]
     config = replace(config, evaluation=replace(config.evaluation, n_episodes=n_episodes))
     game, policy = build(config)
     load_policy(find_checkpoint("pretrained", config), policy, config)
-    choose = adaptive_planner(policy, game, config.policy.horizons_s, None)
+    choose = adaptive_planner(policy, game, config.policy.horizons_s)
     tasks, evaluation = held_out_tasks(config, game, setting), config.evaluation
     trace = drive_episodes(
         game, by_horizon(game, choose), tasks, evaluation.n_worlds, evaluation.reward, ("adaptive", setting)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from negopipe.evaluation.horizon_text import to_text
 from negopipe.evaluation.statistics import rate
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.simulation.state import AT_REST_MPS, EGO
@@ -36,6 +37,7 @@ def episodes(trace: Trace, corridor_length_m: float) -> pd.DataFrame:
     full_braking_count: decisions of the ego in which no feasible plan existed
     mean_horizon_s: mean prediction horizon of the ego; NaN for a driver without one
     passes_first: ego | social | none, whose centre left the corridor first
+    horizons: the ego's, decision by decision, as `negopipe.evaluation.horizon_text` writes them
     """
     suspend_count, suspend_time_s = suspensions(trace)
     time_s = np.where(trace.reached_step >= 0, trace.reached_step * trace.dt_s, np.nan)
@@ -59,6 +61,7 @@ def episodes(trace: Trace, corridor_length_m: float) -> pd.DataFrame:
             "full_braking_count": (trace.is_full_braking[:, :, EGO] & is_running).sum(0),
             "mean_horizon_s": _mean_over(trace.horizon_s[:, :, EGO], is_running),
             "passes_first": passes_first(trace, corridor_length_m),
+            "horizons": to_text(trace.horizon_s[:, :, EGO], trace.n_steps),
         }
     )
 

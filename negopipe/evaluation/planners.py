@@ -1,14 +1,19 @@
 """How the ego may choose its horizon: by the trained policy, or by a sequence that was found beforehand."""
 
+from itertools import count
+
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
 from negopipe.chunks import InChunks
 from negopipe.driver import ChooseHorizon, HorizonDriver, MakeDriver
 from negopipe.env import Game
-from negopipe.policy.actor_critic import ActorCritic, greedy_action, sample_action
+from negopipe.policy.actor_critic import ActorCritic, greedy_action
+from negopipe.simulation.chance import mix, uniform
 from negopipe.simulation.perception import Perception
 
+ACTIONS = 0x5A17
+"""Sets what actions are drawn from apart from what else is drawn for an episode."""
 BATCH = 64
 """Grids that the network is shown at once, always so many: with another number its last bits may be others."""
 
@@ -24,19 +29,31 @@ def by_horizon(game: Game, choose_horizon: ChooseHorizon) -> MakeDriver:
 
 
 def adaptive_planner(
-    policy: ActorCritic, game: Game, horizons_s: tuple[float, ...], sampling: Generator | None
+    policy: ActorCritic, game: Game, horizons_s: tuple[float, ...], chance: Tensor | None = None
 ) -> ChooseHorizon:
-    """The policy: looks at the grids and picks a horizon; the most probable one, or drawn with `sampling`."""
+    """The policy: looks at the grids and picks the most probable horizon.
+
+    chance: [E] int64, a number of each episode, from which it is drawn instead; it counts the decisions, so make one
+        for each batch of episodes that start together, and drive them in step
+    """
     horizons = torch.tensor(horizons_s, device=game.planner.times.device)
     look = InChunks(lambda grids: policy(grids)[0], BATCH, lambda fn: fn)
+    decisions = count()
 
     @torch.no_grad()
     def choose(perception: Perception) -> Tensor:
         logits = look(game.draw(perception))
-        action = greedy_action(logits) if sampling is None else sample_action(logits, sampling)
+        action = greedy_action(logits) if chance is None else _drawn(logits, chance, next(decisions))
         return horizons[action][:, None]
 
     return choose
+
+
+def _drawn(logits: Tensor, chance: Tensor, decision: int) -> Tensor:
+    """[E] int64, by inversion of the cumulative probabilities."""
+    threshold = uniform(mix(mix(chance) + ACTIONS), decision)
+    until = logits.float().softmax(-1).cumsum(-1)
+    return (threshold[:, None] > until).sum(-1).clamp(max=logits.shape[-1] - 1)
 
 
 def sequence_planner(horizon_s: Tensor) -> ChooseHorizon:

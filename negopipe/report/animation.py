@@ -1,6 +1,7 @@
 """Bird's-eye animations of evaluated episodes, in real time, as GIF; single frames as PNG.
 
-One panel per planner. The ribbon ahead of a social vehicle is what the ego's planner predicts of it: the way
+One panel per planner, and if it is known what the policy saw and thought, a row below with its grids and the
+probabilities of its horizons. The ribbon ahead of a social vehicle is what the ego's planner predicts of it: the way
 it drives within the prediction horizon at its present speed, in the colour of that horizon.
 """
 
@@ -13,11 +14,12 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
+from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from PIL import Image
 
+from negopipe.evaluation.replay import Insight
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.report.figures import (
     CORRIDOR,
@@ -33,6 +35,7 @@ from negopipe.simulation.state import EGO
 
 WIDTH_PX, TOP_PX, HEADER_PX, DPI = 640, 26, 26, 100
 GROUND, ROAD, PARKED, SOCIAL = "#DDE3DC", "#F7F7F5", "#B9BDC2", "#4A4A4A"
+INSIGHT_PX, GRID_PX = 128, 96
 HOLD_S = 1.5
 """How long the last frame stays before the animation starts again."""
 RIBBON_ALPHA = 0.6
@@ -77,16 +80,21 @@ def choose_episodes(trace: Trace, n_episodes: int) -> list[int]:
     return [int(ranked[int(rank)]) for rank in ranks]
 
 
+def worst_episode(trace: Trace) -> int:
+    """Index of the episode with the lowest return, the first of equals."""
+    return int(trace.reward.sum(0).argmin())
+
+
 @styled
-def animate(traces: Sequence[Trace], episode: int, scene: Scene, fps: int) -> bytes:
+def animate(traces: Sequence[Trace], episode: int, scene: Scene, fps: int, insight: Insight | None = None) -> bytes:
     """The episode under every planner of `traces`, one panel each, as a looping GIF in real time.
 
-    fps is rounded so that a frame lasts whole hundredths of a second, the unit of GIF.
+    insight: of the first of them. fps is rounded so that a frame lasts whole hundredths of a second, the unit of GIF.
     """
     frame_s = round(100 / fps) / 100
     duration_s = max(trace.n_steps[episode] * trace.dt_s for trace in traces)
     n_frames = int(np.ceil(duration_s / frame_s)) + 1
-    film = _Film(traces, episode, scene)
+    film = _Film(traces, episode, scene, insight)
     frames = [film.draw(frame * frame_s) for frame in range(n_frames)]
     palette = _palette([frames[0], frames[n_frames // 2], frames[-1]], _horizons(traces, episode))
     flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
@@ -97,10 +105,10 @@ def animate(traces: Sequence[Trace], episode: int, scene: Scene, fps: int) -> by
 
 
 @styled
-def still(traces: Sequence[Trace], episode: int, scene: Scene, time_s: float) -> bytes:
+def still(traces: Sequence[Trace], episode: int, scene: Scene, time_s: float, insight: Insight | None = None) -> bytes:
     """One frame of the same picture as PNG; after an episode's end its last state stays."""
     buffer = BytesIO()
-    _Film(traces, episode, scene).draw(time_s).save(buffer, "PNG")
+    _Film(traces, episode, scene, insight).draw(time_s).save(buffer, "PNG")
     return buffer.getvalue()
 
 
@@ -126,13 +134,15 @@ def _palette(frames: Sequence[Image.Image], horizons_s: np.ndarray) -> Image.Ima
 class _Film:
     """Draws frames: what stands still once, what moves on top of it."""
 
-    def __init__(self, traces: Sequence[Trace], episode: int, scene: Scene) -> None:
+    def __init__(self, traces: Sequence[Trace], episode: int, scene: Scene, insight: Insight | None = None) -> None:
         left_m, right_m, low_m, high_m = _view([trace.position_m[0, episode] for trace in traces], scene)
         road_px = round(WIDTH_PX * (high_m - low_m) / (right_m - left_m))
-        height_px = TOP_PX + len(traces) * (HEADER_PX + road_px + 4)
+        below_px = 0 if insight is None else INSIGHT_PX
+        height_px = TOP_PX + len(traces) * (HEADER_PX + road_px + 4) + below_px
         self.figure = Figure((WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
         self.canvas = FigureCanvasAgg(self.figure)
-        self.panels = []
+        self.panels: list[_Panel] = []
+        self.thoughts: list[_Thoughts] = []
         for row, trace in enumerate(traces):
             bottom_px = height_px - TOP_PX - (row + 1) * (HEADER_PX + road_px) - row * 4
             axis = self.figure.add_axes((0, bottom_px / height_px, 1, road_px / height_px))
@@ -140,6 +150,8 @@ class _Film:
             axis.axis("off")
             _draw_scene(axis, scene)
             self.panels.append(_Panel(axis, trace, episode, scene))
+        if insight is not None:
+            self.thoughts.append(_Thoughts(self.figure, insight, traces[0].dt_s))
         self.clock = self.figure.text(0.012, 1 - 5 / height_px, "", va="top", fontsize=12, animated=True)
         self.canvas.draw()
         self.background = self.canvas.copy_from_bbox(self.figure.bbox)
@@ -148,9 +160,10 @@ class _Film:
         self.canvas.restore_region(self.background)  # type: ignore[no-untyped-call]
         self.clock.set_text(f"{time_s:.1f} s")
         self.figure.draw_artist(self.clock)
-        for panel in self.panels:
+        moving: list[_Panel | _Thoughts] = [*self.panels, *self.thoughts]
+        for panel in moving:
             for artist in panel.artists_at(time_s):
-                panel.axis.draw_artist(artist)
+                self.figure.draw_artist(artist)
         return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy())
 
 
@@ -221,6 +234,61 @@ class _Panel:
         nearest = position[EGO + 1 :][np.abs(position[EGO + 1 :] - position[EGO]).sum(1).argmin()]
         middle = (position[EGO] + nearest) / 2
         self.crash.set_data(middle[:1], middle[1:])
+
+
+class _Thoughts:
+    """What the policy sees and how likely it finds each horizon: a row of grids, then bars."""
+
+    def __init__(self, figure: Figure, insight: Insight, dt_s: float) -> None:
+        self.insight, self.dt_s = insight, dt_s
+        width_px, height_px = figure.get_size_inches() * DPI
+        n_frames = insight.grids.shape[1]
+        size_px = min(GRID_PX, round((0.6 * WIDTH_PX) / n_frames) - 8)
+        ink = ListedColormap([ROAD, INK])
+        self.images = []
+        for frame in range(n_frames):
+            left_px = 8 + frame * (size_px + 8)
+            axis = figure.add_axes((left_px / width_px, 8 / height_px, size_px / width_px, size_px / height_px))
+            axis.set(xticks=[], yticks=[])
+            axis.spines[:].set_visible(True)
+            age_s = frame * insight.frame_interval_s
+            axis.set_title("grid: now" if frame == 0 else f"{age_s:g} s ago", fontsize=9, fontweight="normal", pad=3)
+            self.images.append(axis.imshow(_as_driven(insight.grids[0, frame]), ink, vmin=0, vmax=1, aspect="auto"))
+        left_px = 8 + n_frames * (size_px + 8) + 50
+        bars_px = (left_px, 8, width_px - left_px - 52, size_px)
+        axis = figure.add_axes(
+            (bars_px[0] / width_px, bars_px[1] / height_px, bars_px[2] / width_px, size_px / height_px)
+        )
+        axis.set_title("how likely each horizon", fontsize=9, fontweight="normal", pad=3)
+        axis.set(xlim=(0, 1), xticks=[])
+        axis.set_yticks(range(len(insight.horizons_s)), [f"{horizon:g} s" for horizon in insight.horizons_s])
+        axis.tick_params(axis="y", length=0)
+        axis.spines["bottom"].set_visible(False)
+        axis.invert_yaxis()
+        colors = [horizon_color(horizon) for horizon in insight.horizons_s]
+        self.bars = list(axis.barh(range(len(colors)), [0.0] * len(colors), height=0.7, color=colors))
+        at_end: Any = {"transform": axis.get_yaxis_transform(), "va": "center", "fontsize": 9, "clip_on": False}
+        self.shares = [axis.text(1.03, row, "", **at_end) for row in range(len(colors))]
+        for artist in self._moving():
+            artist.set_animated(True)
+
+    def _moving(self) -> list[Artist]:
+        return [*self.images, *self.bars, *self.shares]
+
+    def artists_at(self, time_s: float) -> list[Artist]:
+        """Those of the decision that is being carried out; after the end, of the last one."""
+        step = min(int(time_s / self.dt_s + 1e-6), len(self.insight.grids) - 1)
+        for image, grid in zip(self.images, self.insight.grids[step], strict=True):
+            image.set_data(_as_driven(grid))
+        for bar, text, share in zip(self.bars, self.shares, self.insight.probability[step], strict=True):
+            bar.set_width(float(share))
+            text.set_text(f"{100 * share:.0f} %")
+        return self._moving()
+
+
+def _as_driven(grid: np.ndarray) -> np.ndarray:
+    """A grid [H, W], row 0 farthest ahead and column 0 farthest to the left, turned so that ahead is to the right."""
+    return grid[::-1].T
 
 
 def _polygon(axis: Axes, color: str, alpha: float = 1.0) -> Polygon:

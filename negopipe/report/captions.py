@@ -42,6 +42,12 @@ CAPTIONS = {
         """The ego comes from the left in its planner's colour, the social vehicle (own horizon
         {style_s:g} s) from the right in grey, with the ribbon that the ego's planner foresees of it.""",
     ),
+    "film_alone": (
+        "{setting}, episode {episode}: {planners}, {which}",
+        """The ego comes from the left, the social vehicle (own horizon {style_s:g} s) from the right in grey, with
+        the ribbon that the ego's planner foresees of it. Below the road stand the occupancy grids that the policy
+        sees, ahead is to the right, and how likely it finds each prediction horizon.""",
+    ),
     "behaviour_index": (
         "Behaviour index",
         """Eq. 7. Above zero the social vehicle has come further since the start than the ego
@@ -64,8 +70,9 @@ CAPTIONS = {
 
 WATCH = (
     "Real time. The adaptive planner's successes in a setting are ranked by return (without a success, all "
-    "episodes are). The median one is shown side by side with other planners on the same task; evenly spaced "
-    "ranks are shown alone."
+    "episodes are). The median one is shown side by side with other planners on the same task. Evenly spaced "
+    "ranks and the episode of the lowest return are shown alone. To watch any other episode: "
+    "stages=[replay] episode=<setting>/<planner>/<number>."
 )
 NOT_TRAINED = "The policy was not trained in this run: there is no history.csv. The config names its checkpoint."
 

@@ -2,17 +2,19 @@
 
 import logging
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import pandas as pd
+from torch import Tensor
 
-from negopipe.driver import MakeDriver
+from negopipe.driver import HorizonDriver
 from negopipe.env import Game
 from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.comparison import versus_adaptive
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import adaptive_planner, by_horizon
+from negopipe.evaluation.planners import adaptive_planner
+from negopipe.evaluation.rival import Rival
 from negopipe.evaluation.safety import safety
 from negopipe.evaluation.trace import ADAPTIVE, Trace, save_traces
 from negopipe.policy.actor_critic import ActorCritic
@@ -20,7 +22,7 @@ from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler, pair_styles
 from negopipe.simulation.state import Task, map_tensors
 from negopipe.stages.progress import ProgressLine
-from negopipe.stages.setup import build, device_of, load_policy
+from negopipe.stages.setup import build, load_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 
 if TYPE_CHECKING:
@@ -32,27 +34,19 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 
-class _Planner(NamedTuple):
-    """Who is evaluated. n_episodes: on the first so many tasks, None = all; is_in_step: see `drive_episodes`."""
-
-    make_ego: MakeDriver
-    n_episodes: int | None = None
-    is_in_step: bool = False
-
-
 def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Drive every planner through every setting; writes episodes.csv, traces.npz and metrics.json."""
-    checkpoint = _checkpoint(config, run)
+    checkpoint = checkpoint_of(config, run)
     game, policy = build(config)
     load_policy(checkpoint, policy, config)
-    planners = _planners(config, game, policy)
+    planners = [ADAPTIVE, *config.evaluation.rivals]
     traces, tables = [], []
     with ProgressLine("evaluate", len(planners) * len(config.evaluation.settings)) as progress:
         for setting in config.evaluation.settings:
             tasks = held_out_tasks(config, game, setting)
-            for name, planner in planners.items():
-                trace = _drive(config, game, planner, tasks, (name, setting))
-                tables.append(_rows(config, trace))
+            for name in planners:
+                trace = _drive(config, game, policy, tasks, (name, setting))
+                tables.append(measure(config, trace))
                 traces.append(trace.first(config.evaluation.n_traced))
                 progress.advance(f"{setting}, {name}")
     table = pd.concat(tables, ignore_index=True)
@@ -65,22 +59,25 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     _say(summary)
 
 
-def _planners(config: "RunConfig", game: Game, policy: ActorCritic) -> dict[str, _Planner]:
-    """The policy and its rivals, by name."""
+def _drive(config: "RunConfig", game: Game, policy: ActorCritic, tasks: Task, names: tuple[str, str]) -> Trace:
+    """The planner names[0]: the policy or one of the rivals."""
+    if names[0] != ADAPTIVE:
+        return drive_rival(config, game, config.evaluation.rivals[names[0]], tasks, names)
     is_drawn = config.evaluation.action == "sample"
-    sampling = generator(config.seed, "evaluation actions", device_of(config)) if is_drawn else None
-    choose = adaptive_planner(policy, game, config.policy.horizons_s, sampling)
-    rivals = {
-        name: _Planner(partial(rival.driver, game), rival.n_episodes, rival.is_in_step)
-        for name, rival in config.evaluation.rivals.items()
-    }
-    return {ADAPTIVE: _Planner(by_horizon(game, choose)), **rivals}
 
+    def ego(chance: Tensor) -> HorizonDriver:
+        numbers = chance if is_drawn else None
+        return HorizonDriver(adaptive_planner(policy, game, config.policy.horizons_s, numbers), game.plan)
 
-def _drive(config: "RunConfig", game: Game, planner: _Planner, tasks: Task, names: tuple[str, str]) -> Trace:
-    driven = map_tensors(lambda field: field[: planner.n_episodes], tasks)
     n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
-    return drive_episodes(game, planner.make_ego, driven, n_worlds, paid, names, planner.is_in_step)
+    return drive_episodes(game, ego, tasks, n_worlds, paid, names, is_in_step=is_drawn)
+
+
+def drive_rival(config: "RunConfig", game: Game, rival: Rival, tasks: Task, names: tuple[str, str]) -> Trace:
+    """The first of the tasks, as many as it drives."""
+    driven = map_tensors(lambda field: field[: rival.n_episodes], tasks)
+    n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
+    return drive_episodes(game, partial(rival.driver, game), driven, n_worlds, paid, names, rival.is_in_step)
 
 
 def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
@@ -90,13 +87,13 @@ def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
     return TaskSampler(config.scenario, {setting: families[setting]}, stream).draw(config.evaluation.n_episodes)
 
 
-def _rows(config: "RunConfig", trace: Trace) -> pd.DataFrame:
+def measure(config: "RunConfig", trace: Trace) -> pd.DataFrame:
     """All that is measured, one row per episode."""
     driven = metrics.episodes(trace, config.scenario.road.corridor_length_m)
     return driven.join(safety(trace, config.scenario.vehicle, config.planner.limits.full_braking_mps2))
 
 
-def _checkpoint(config: "RunConfig", run: "TrackedRun") -> "Path":
+def checkpoint_of(config: "RunConfig", run: "TrackedRun") -> "Path":
     """What this run trained, or else what `checkpoint` names."""
     own = run.folder / CHECKPOINT_NAME
     if own.is_file() and (config.checkpoint is None or "train" in config.stages):

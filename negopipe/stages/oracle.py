@@ -122,7 +122,7 @@ def table(own: pd.DataFrame, fixed: dict[float, pd.DataFrame]) -> pd.DataFrame:
         for column in ("outcome", "reward")
     }
     columns = "setting episode ego_start_distance_m social_start_distance_m style_horizon_s outcome reward "
-    columns += "ego_time_s social_time_s"
+    columns += "ego_time_s social_time_s horizons"
     return own[columns.split()].assign(
         best_fixed_horizon_s=np.array(list(fixed))[returns.argmax(0)],
         best_fixed_reward=returns.max(0),

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from negopipe.errors import UserError
 from negopipe.evaluation.claims import Claim, judge_claims
 from negopipe.evaluation.metrics import NEAREST
+from negopipe.evaluation.replay import Insight, look_into
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.animation import Scene
@@ -36,6 +37,9 @@ from negopipe.report.page import (
 )
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
+from negopipe.simulation.state import EGO, map_tensors
+from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
+from negopipe.stages.setup import build, load_policy
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -89,11 +93,12 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     drawings = _Gallery(run.folder / "figures", config.report.figure_formats)
     films = _Gallery(run.folder / "animations")
     road = Road(config.scenario.road)
+    insights = look_into_policy(config, run, traces)
     log.info("report: figures")
     sections = [
         _planners(drawings, table, _unseen(config)),
         _negotiations(drawings, traces, road.corridor_sigma_m),
-        _animations(config.report, films, traces, make_scene(config.scenario, road)),
+        _animations(config.report, films, traces, make_scene(config.scenario, road), insights),
         _behaviour(drawings, traces),
         _training(drawings, run.folder / "history.csv"),
     ]
@@ -169,32 +174,82 @@ def _typical_of_all(group: list[Trace]) -> int:
     return animation.choose_episodes(_adaptive(group).first(min(len(trace.n_steps) for trace in group)), 1)[0]
 
 
-def _animations(report: ReportConfig, gallery: _Gallery, traces: dict[str, list[Trace]], scene: Scene) -> Section:
+def _animations(
+    report: ReportConfig,
+    gallery: _Gallery,
+    traces: dict[str, list[Trace]],
+    scene: Scene,
+    insights: Mapping[str, Mapping[int, Insight]],
+) -> Section:
+    """insights: of the policy's episodes that are shown alone, by setting and episode."""
     exhibits = []
     for setting, group in traces.items():
         adaptive = _adaptive(group)
-        films = {
-            f"{setting}_{ADAPTIVE}_{rank}": (episode, [adaptive])
-            for rank, episode in enumerate(animation.choose_episodes(adaptive, report.n_animations), start=1)
-        }
         if report.side_by_side:
             compared = [adaptive, *_named(group, report.side_by_side)]
-            films = {f"{setting}_side_by_side": (_typical_of_all(group), compared)} | films
-        for name, (episode, shown) in films.items():
-            log.info("report: animation %s", name)
-            exhibits.append(_film(gallery, name, shown, episode, scene, report.animation_fps))
+            name = f"{setting}_side_by_side"
+            exhibits.append(_film(gallery, name, compared, _typical_of_all(group), scene, report.animation_fps))
+        for name, episode in _shown_alone(report, adaptive).items():
+            insight = insights[setting][episode]
+            exhibits.append(_film(gallery, name, [adaptive], episode, scene, report.animation_fps, insight))
     return Section("Watch it", WATCH, exhibits)
 
 
-def _film(gallery: _Gallery, name: str, traces: list[Trace], episode: int, scene: Scene, fps: int) -> Exhibit:
+def _shown_alone(report: ReportConfig, adaptive: Trace) -> dict[str, int]:
+    """Name of the film -> episode of the adaptive planner: typical ones and the worst; none twice."""
+    typical = animation.choose_episodes(adaptive, report.n_animations)
+    named = {f"{adaptive.family}_{ADAPTIVE}_{rank}": episode for rank, episode in enumerate(typical, start=1)}
+    worst = animation.worst_episode(adaptive)
+    return named if worst in typical or not typical else named | {f"{adaptive.family}_{ADAPTIVE}_worst": worst}
+
+
+def look_into_policy(
+    config: "RunConfig", run: "TrackedRun", traces: Mapping[str, list[Trace]]
+) -> dict[str, dict[int, Insight]]:
+    """What the policy saw and thought in the episodes that are shown alone, by setting and episode: they are driven
+    once more with the horizons of the record."""
+    shown = {setting: list(_shown_alone(config.report, _adaptive(group)).values()) for setting, group in traces.items()}
+    if not any(shown.values()):
+        return {}
+    log.info("report: looking into the policy")
+    game, policy = build(config)
+    load_policy(checkpoint_of(config, run), policy, config)
+    insights = {}
+    for setting, episodes in shown.items():
+        adaptive, tasks = _adaptive(traces[setting]), held_out_tasks(config, game, setting)
+        which = torch.tensor(episodes, device=tasks.family.device)
+        found = look_into(
+            game,
+            policy,
+            config.policy.horizons_s,
+            config.observation.frame_interval_s,
+            map_tensors(lambda field, i=which: field[i], tasks),
+            [adaptive.horizon_s[: adaptive.n_steps[episode], episode, EGO] for episode in episodes],
+            config.evaluation.reward,
+        )
+        insights[setting] = dict(zip(episodes, found, strict=True))
+    return insights
+
+
+def _film(
+    gallery: _Gallery,
+    name: str,
+    traces: list[Trace],
+    episode: int,
+    scene: Scene,
+    fps: int,
+    insight: Insight | None = None,
+) -> Exhibit:
+    log.info("report: animation %s", name)
     trace = traces[0]
-    gif = animation.animate(traces, episode, scene, fps)
-    still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3)
+    gif = animation.animate(traces, episode, scene, fps, insight)
+    still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, insight)
     title, reading = caption(
-        "film",
+        "film" if insight is None else "film_alone",
         setting=setting_label(trace.family),
         episode=episode,
         planners=", ".join(planner_label(shown.planner) for shown in traces),
+        which="the worst" if name.endswith("_worst") else "a typical one",
         style_s=trace.style_horizon_s[episode, NEAREST],
     )
     return gallery.animation(name, gif, still, title, reading)

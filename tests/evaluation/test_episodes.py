@@ -8,7 +8,7 @@ import torch
 from games import draw_tasks
 
 from negopipe.config import RunConfig
-from negopipe.driver import fixed_horizon
+from negopipe.driver import HorizonDriver, fixed_horizon
 from negopipe.env import Game
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.planners import adaptive_planner, by_horizon
@@ -93,15 +93,20 @@ def test_adaptive_planner_looks_at_the_grids(config: RunConfig, game: Game) -> N
     with torch.no_grad():
         policy.policy_head[-1].bias.copy_(torch.tensor([0.0, 0.0, 100.0, 0.0]))
     task = task_with(config, 17.5, 6.0)
-    choose = adaptive_planner(policy, game, config.policy.horizons_s, sampling=None)
+    choose = adaptive_planner(policy, game, config.policy.horizons_s)
     reward = config.evaluation.reward
     adaptive = drive_episodes(game, by_horizon(game, choose), task, 1, reward, ("adaptive", "x"))
     fixed = drive(config, game, task, 4.0, 1)
     assert np.array_equal(adaptive.position_m, fixed.position_m)
     with torch.no_grad():
         policy.policy_head[-1].bias.zero_()
-    sampling = torch.Generator().manual_seed(0)
-    choose = adaptive_planner(policy, game, config.policy.horizons_s, sampling)
-    drawn = drive_episodes(game, by_horizon(game, choose), task, 1, reward, ("adaptive", "x"))
+
+    def sampling(chance: torch.Tensor) -> HorizonDriver:
+        return HorizonDriver(adaptive_planner(policy, game, config.policy.horizons_s, chance), game.plan)
+
+    drawn, again = (
+        drive_episodes(game, sampling, task, 1, reward, ("adaptive", "x"), is_in_step=True) for _ in range(2)
+    )
     n = int(drawn.n_steps[0])
     assert set(drawn.horizon_s[:n, 0, 0].tolist()) == {0.0, 2.0, 4.0, 6.0}
+    assert np.array_equal(drawn.horizon_s, again.horizon_s, equal_nan=True)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from negopipe.evaluation.replay import Insight
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.report.animation import HOLD_S, Scene, _Film, animate, choose_episodes, still
+from negopipe.report.animation import HOLD_S, Scene, _Film, animate, choose_episodes, still, worst_episode
 from negopipe.report.figures import ADAPTIVE_COLOR, horizon_color
 
 
@@ -32,6 +33,10 @@ def test_the_median_success_is_chosen(traces: list[Trace]) -> None:
 def test_without_a_success_all_episodes_are_ranked(traces: list[Trace]) -> None:
     trace = ranked(traces[0], [-3.0, -1.0, -2.0], ["collision", "deadlock", "timeout"])
     assert choose_episodes(trace, 1) == [2]
+
+
+def test_the_worst_has_the_lowest_return(traces: list[Trace]) -> None:
+    assert worst_episode(ranked(traces[0], [-3.0, -9.0, -9.0], ["success"] * 3)) == 1
 
 
 @pytest.mark.parametrize("fps", [1, 3])
@@ -101,3 +106,22 @@ def test_the_end_is_told_and_stays(traces: list[Trace], scene: Scene) -> None:
     panel.artists_at(1e3)
     assert panel.crash.get_visible()
     assert panel.status.get_text() == f"collision after {crashed.n_steps[0] * crashed.dt_s:.1f} s"
+
+
+def test_what_the_policy_saw_and_thought_is_drawn(traces: list[Trace], scene: Scene) -> None:
+    n_steps = int(traces[0].n_steps[0])
+    grids = np.zeros((n_steps, 4, 84, 84), dtype=np.uint8)
+    grids[5, 0, 0, 0] = 1  # farthest ahead, farthest to the left
+    probability = np.tile(np.float32([0.1, 0.2, 0.3, 0.4]), (n_steps, 1))
+    probability[5] = (0.7, 0.1, 0.1, 0.1)
+    insight = Insight(grids, probability, (0.0, 2.0, 4.0, 6.0), 1.0)
+    film = _Film(traces[:1], 0, scene, insight)
+    (thoughts,) = film.thoughts
+    thoughts.artists_at(5 * traces[0].dt_s)
+    assert [bar.get_width() for bar in thoughts.bars] == pytest.approx([0.7, 0.1, 0.1, 0.1])
+    assert thoughts.shares[0].get_text() == "70 %"
+    shown = np.asarray(thoughts.images[0].get_array())
+    assert np.argwhere(shown).tolist() == [[0, 83]]  # ahead is to the right, left is up
+    thoughts.artists_at(1e3)
+    assert thoughts.bars[3].get_width() == pytest.approx(0.4)  # of the last decision
+    assert film.draw(0.0).height > _Film(traces[:1], 0, scene).draw(0.0).height

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 import yaml
@@ -15,6 +16,7 @@ from pydantic import TypeAdapter
 from negopipe.errors import UserError
 from negopipe.evaluation.comparison import versus_adaptive
 from negopipe.evaluation.metrics import summary
+from negopipe.evaluation.replay import Insight
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
 from negopipe.report.page import ReportConfig
 from negopipe.simulation.road import Road
@@ -75,7 +77,18 @@ def run(tmp_path: Path, traces: list[Trace], table: pd.DataFrame, history: pd.Da
     return Run(tmp_path)
 
 
-def test_everything_is_written_and_logged(run: Run) -> None:
+def seen(traces: dict[str, list[Trace]]) -> dict[str, dict[int, Insight]]:
+    """Made-up grids and probabilities for all episodes."""
+    found = {}
+    for setting, (adaptive, *_) in traces.items():
+        grids = np.zeros((adaptive.n_steps.max(), 4, 84, 84), dtype=np.uint8)
+        insight = Insight(grids, np.full((len(grids), 4), 0.25), (0.0, 2.0, 4.0, 6.0), 1.0)
+        found[setting] = dict.fromkeys(range(len(adaptive.n_steps)), insight)
+    return found
+
+
+def test_everything_is_written_and_logged(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "look_into_policy", lambda config, run, traces: seen(traces))
     report.run(Config(n_animations=1, side_by_side=("fixed_0", "fixed_6")), run)
     page = (run.folder / "report.html").read_text()
     for section in ("Results", "Planners compared", "Negotiations", "Watch it", "Behaviour", "Training"):
@@ -84,7 +97,7 @@ def test_everything_is_written_and_logged(run: Run) -> None:
     assert "name: push" in page
     images = re.findall(r'<img src="(data:image/[a-z+]+);', page)
     assert images.count("data:image/svg+xml") == 8
-    assert images.count("data:image/gif") == 4  # in each setting one alone and one side by side
+    assert images.count("data:image/gif") == 6  # in each setting a typical one, the worst, and one side by side
     assert run.artifacts == [
         ("claims.json", ""),
         ("figures", "figures"),
@@ -99,7 +112,7 @@ def test_everything_is_written_and_logged(run: Run) -> None:
     over_all, push, *_ = run.description.split("\n\n")
     assert over_all.startswith("Over all settings the adaptive planner")
     assert push.startswith("Push: the adaptive planner")
-    assert len(list((run.folder / "animations").glob("*.gif"))) == 4
+    assert len(list((run.folder / "animations").glob("*.gif"))) == 6
 
 
 def test_a_planner_may_have_driven_the_first_tasks_only(run: Run, traces: list[Trace], table: pd.DataFrame) -> None:

@@ -139,3 +139,25 @@ def test_another_experiment_takes_the_training_over(outputs: Path) -> None:
     with closing(sqlite3.connect(outputs / "mlflow" / "mlflow.db")) as connection:
         query = "SELECT count(DISTINCT step) FROM metrics WHERE key = 'train/kl' GROUP BY run_uuid"
         assert connection.execute(query).fetchall() == [(6,)] * 3
+
+
+@pytest.mark.parametrize(("planner", "suffix"), [("adaptive", "to the last bit"), ("fixed_4", "to the last bit")])
+def test_any_episode_can_be_played_again(outputs: Path, planner: str, suffix: str) -> None:
+    done = negopipe(
+        "+experiment=smoke", f"outputs={outputs}", "n_threads=1", "stages=[replay]", f"episode=push/{planner}/2"
+    )
+    assert done.returncode == 0, done.stderr
+    folder = only_run(outputs) / "replays"
+    if "simulator compiled" in done.stdout:
+        assert f"push/{planner}/2: as evaluated, {suffix}" in done.stdout
+    assert {f"push_{planner}_2.gif", f"push_{planner}_2.png"} <= {path.name for path in folder.iterdir()}
+
+
+def test_an_episode_that_was_not_evaluated_is_named(outputs: Path) -> None:
+    done = negopipe(
+        "+experiment=smoke", f"outputs={outputs}", "n_threads=1", "stages=[replay]", "episode=push/fixed_2/4"
+    )
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert "a setting of push, yield" in line
+    assert "a number below 4, got push/fixed_2/4" in line

@@ -1,0 +1,103 @@
+"""Driving evaluated episodes once more from their tasks and horizons, and looking into the policy meanwhile."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from negopipe.driver import ChooseHorizon
+from negopipe.env import Game
+from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.planners import by_horizon, sequence_planner
+from negopipe.evaluation.trace import Trace
+from negopipe.policy.actor_critic import ActorCritic
+from negopipe.reward import RewardConfig
+from negopipe.simulation.perception import Perception
+from negopipe.simulation.state import Task
+
+
+@dataclass(frozen=True)
+class Insight:
+    """What the policy saw and thought in one episode of T decisions.
+
+    grids: [T, F, H, W] uint8, as `OccupancyGrid.draw` makes them
+    probability: [T, A] float32, of each of its horizons
+    horizons_s: [A], s
+    frame_interval_s: between frames, s
+    """
+
+    grids: np.ndarray
+    probability: np.ndarray
+    horizons_s: tuple[float, ...]
+    frame_interval_s: float
+
+
+Watch = Callable[[Perception], None]
+"""Is shown the ego's perception before every decision."""
+
+
+def replay(
+    game: Game,
+    tasks: Task,
+    horizon_s: Sequence[np.ndarray],
+    reward_config: RewardConfig,
+    names: tuple[str, str],
+    watch: Watch | None = None,
+) -> Trace:
+    """The record of E episodes in which the ego used the horizons that are given.
+
+    horizon_s: of each episode [T] s, its decisions
+    names: (planner, family) for the record
+    """
+    choose = sequence_planner(_together(horizon_s, game.simulator.scenario.episode_steps).to(tasks.family.device))
+    ego = by_horizon(game, choose if watch is None else _watched(choose, watch))
+    return drive_episodes(game, ego, tasks, len(tasks), reward_config, names, is_in_step=True)
+
+
+def look_into(
+    game: Game,
+    policy: ActorCritic,
+    horizons_s: tuple[float, ...],
+    frame_interval_s: float,
+    tasks: Task,
+    horizon_s: Sequence[np.ndarray],
+    reward_config: RewardConfig,
+) -> list[Insight]:
+    """What the policy saw and thought in E episodes, of which it is known what it chose (`replay`)."""
+    grids: list[np.ndarray] = []
+    probability: list[np.ndarray] = []
+
+    @torch.no_grad()
+    def watch(perception: Perception) -> None:
+        drawn = game.draw(perception)
+        grids.append(drawn.cpu().numpy())
+        probability.append(policy(drawn)[0].softmax(-1).float().cpu().numpy())
+
+    replay(game, tasks, horizon_s, reward_config, ("watched", "replay"), watch)
+    return [
+        Insight(
+            np.stack([drawn[episode] for drawn in grids[: len(own)]]),
+            np.stack([each[episode] for each in probability[: len(own)]]),
+            horizons_s,
+            frame_interval_s,
+        )
+        for episode, own in enumerate(horizon_s)
+    ]
+
+
+def _together(horizon_s: Sequence[np.ndarray], n_steps: int) -> Tensor:
+    """[T, E] float32; decisions after an episode's end count for nothing."""
+    rows = np.zeros((n_steps, len(horizon_s)), dtype=np.float32)
+    for episode, own in enumerate(horizon_s):
+        rows[: len(own), episode] = own
+    return torch.from_numpy(rows)
+
+
+def _watched(choose: ChooseHorizon, watch: Watch) -> ChooseHorizon:
+    def choose_watched(perception: Perception) -> Tensor:
+        watch(perception)
+        return choose(perception)
+
+    return choose_watched

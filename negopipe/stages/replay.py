@@ -1,0 +1,132 @@
+"""The replay stage: one evaluated episode again, bit for bit, as an animation that looks into the policy."""
+
+import io
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from negopipe.env import Game
+from negopipe.errors import UserError
+from negopipe.evaluation.horizon_text import from_text
+from negopipe.evaluation.replay import Insight, look_into, replay
+from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
+from negopipe.report import animation
+from negopipe.simulation.state import Task, map_tensors
+from negopipe.stages.evaluate import checkpoint_of, drive_rival, held_out_tasks, measure
+from negopipe.stages.report import make_scene
+from negopipe.stages.setup import build, load_policy
+from negopipe.tracking.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from negopipe.config import RunConfig
+    from negopipe.policy.actor_critic import ActorCritic
+    from negopipe.tracking.store import TrackedRun
+
+log = logging.getLogger("negopipe")
+
+FOLDER = "replays"
+
+
+class EpisodeId(NamedTuple):
+    """Which episode: the columns setting, planner and episode of episodes.csv."""
+
+    setting: str
+    planner: str
+    episode: int
+
+
+def run(config: "RunConfig", run: "TrackedRun") -> None:
+    """Drive `episode` again; writes replays/<setting>_<planner>_<number>.gif and a still, .png.
+
+    Raises UserError if it was not evaluated in this run, or if it does not come out as it did then.
+    """
+    which, row = find_episode(config, run.folder)
+    game, policy = build(config)
+    load_policy(checkpoint_of(config, run), policy, config)
+    only = slice(which.episode, which.episode + 1)
+    tasks = map_tensors(lambda field: field[only], held_out_tasks(config, game, which.setting))
+    trace = _drive(config, game, tasks, which, row)
+    _check_same(config, run.folder, which, row, trace)
+    insight = _insight(config, game, policy, tasks, row) if which.planner == ADAPTIVE else None
+    folder = run.folder / FOLDER
+    folder.mkdir(exist_ok=True)
+    name = "_".join(map(str, which))
+    scene = make_scene(config.scenario, game.simulator.road)
+    files = {
+        "gif": animation.animate([trace], 0, scene, config.report.animation_fps, insight),
+        "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, insight),
+    }
+    for suffix, data in files.items():
+        path = folder / f"{name}.{suffix}"
+        write_whole(path, data)
+        run.log_artifact(path, FOLDER)
+        log.info("replay     %s", path)
+
+
+def find_episode(config: "RunConfig", folder: Path) -> tuple[EpisodeId, pd.Series]:
+    """The episode that the config names and its row of episodes.csv."""
+    path = folder / "episodes.csv"
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; run the stage `evaluate` first")
+    table = _as_text(path)
+    if "horizons" not in table:
+        raise UserError(f"{path}: holds no horizons, it is of older code; run the stage `evaluate` anew (rerun=true)")
+    setting, planner, number = str(config.episode).split("/")
+    own = table[(table["setting"] == setting) & (table["planner"] == planner)]
+    row = own[own["episode"] == str(int(number))]
+    if row.empty:
+        settings, planners = (", ".join(table[name].unique()) for name in ("setting", "planner"))
+        n_driven = len(own) or table["episode"].astype(int).max() + 1
+        raise UserError(
+            f"episode must be <setting>/<planner>/<number> with a setting of {settings}, a planner of {planners} and "
+            f"a number below {n_driven}, got {config.episode}"
+        )
+    return EpisodeId(setting, planner, int(number)), row.iloc[0]
+
+
+def _drive(config: "RunConfig", game: Game, tasks: Task, which: EpisodeId, row: pd.Series) -> Trace:
+    """From the stored horizons; a driver that chooses none drives as it did."""
+    names = (which.planner, which.setting)
+    if row["horizons"]:
+        return replay(game, tasks, [from_text(row["horizons"])], config.evaluation.reward, names)
+    return drive_rival(config, game, config.evaluation.rivals[which.planner], tasks, names)
+
+
+def _check_same(config: "RunConfig", folder: Path, which: EpisodeId, row: pd.Series, trace: Trace) -> None:
+    """Every figure of its row and, where they were kept, every state to the last bit.
+
+    Without a compiler what is computed beside a world moves its last bits; then how it ended must be the same.
+    """
+    is_exact = config.compile == "on"
+    driven = _as_text(io.StringIO(measure(config, trace).to_csv(index=False))).iloc[0]
+    stored = _as_text(folder / "episodes.csv").iloc[int(str(row.name))]
+    compared = list(driven.index.drop("episode")) if is_exact else ["outcome", "n_decisions"]
+    for name in compared:
+        if driven[name] != stored[name]:
+            said = f"{name} {driven[name]} for {stored[name]}"
+            raise UserError(f"episode {config.episode} must come out as evaluated, got {said}")
+    kept = [t for t in load_traces(folder / "traces.npz") if (t.family, t.planner) == (which.setting, which.planner)]
+    is_kept = is_exact and bool(kept) and which.episode < len(kept[0].n_steps)
+    if is_kept:
+        _check_bits(config, which, kept[0], trace)
+    log.info(f"replay     {config.episode}: as evaluated{', to the last bit' if is_kept else ''}")
+
+
+def _as_text(file: Path | io.StringIO) -> pd.DataFrame:
+    return pd.read_csv(file, dtype="str", keep_default_na=False)
+
+
+def _check_bits(config: "RunConfig", which: EpisodeId, kept: Trace, trace: Trace) -> None:
+    for name, axis in EPISODE_AXIS.items():
+        then = np.take(getattr(kept, name), [which.episode], axis)
+        if not np.array_equal(then, getattr(trace, name), equal_nan=then.dtype.kind == "f"):
+            raise UserError(f"episode {config.episode} must come out as evaluated, got another {name}")
+
+
+def _insight(config: "RunConfig", game: Game, policy: "ActorCritic", tasks: Task, row: pd.Series) -> Insight:
+    horizons, interval_s = config.policy.horizons_s, config.observation.frame_interval_s
+    chosen = [from_text(row["horizons"])]
+    return look_into(game, policy, horizons, interval_s, tasks, chosen, config.evaluation.reward)[0]
