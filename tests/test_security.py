@@ -11,7 +11,7 @@ import pytest
 import negopipe
 from negopipe.errors import UserError
 from negopipe.gym_env import compose_config
-from negopipe.stages.evaluate import _checkpoint
+from negopipe.stages.evaluate import checkpoint_of
 from negopipe.tracking.checkpoint import load_checkpoint
 
 PACKAGE = Path(negopipe.__file__).parent
@@ -94,7 +94,7 @@ def test_a_path_is_a_path(tmp_path: Path) -> None:
     """What a checkpoint's path names is read, not followed as a URI or run."""
     for reference in ("models:/policy/1", "runs:/abc", "http://127.0.0.1:1/x", "$(touch x)"):
         with pytest.raises(UserError, match=r"^checkpoint must be"):
-            _checkpoint(
+            checkpoint_of(
                 compose_config([f"checkpoint='{reference}'", f"outputs={tmp_path}"]),
                 type("Run", (), {"folder": tmp_path})(),
             )
