@@ -4,12 +4,11 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from negopipe.config_errors import explain_composition, explain_validation, shown
 from negopipe.env import CHUNKS
@@ -18,7 +17,7 @@ from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
 from negopipe.evaluation.oracle import OracleConfig
 from negopipe.evaluation.speed import BenchmarkConfig
-from negopipe.evaluation.trace import ADAPTIVE
+from negopipe.evaluation.trace import ADAPTIVE, ORACLE
 from negopipe.learning.acktr import AcktrConfig
 from negopipe.learning.acktr_adam import AcktrAdamConfig
 from negopipe.learning.curriculum import CurriculumConfig
@@ -28,7 +27,7 @@ from negopipe.planner.frenet import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
 from negopipe.reward import RewardConfig
-from negopipe.schema import FileName, PositiveInt, Seed, schema
+from negopipe.schema import FileName, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
@@ -40,19 +39,6 @@ Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracl
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 """<setting>/<planner>/<number>, columns of episodes.csv."""
 
-
-def _is_path(text: str) -> str:
-    """No file system takes longer names, and `~nobody` is nobody's home."""
-    if not text.isprintable() or len(text) > 1000 or max(len(part.encode()) for part in text.split("/")) > 255:
-        raise ValueError("must be a path of printable characters, at most 1000 in all and 255 bytes between two /")
-    try:
-        Path(text).expanduser()
-    except RuntimeError as error:
-        raise ValueError("must begin with the name of a user where it begins with ~") from error
-    return text
-
-
-PathText = Annotated[str, Field(min_length=1), AfterValidator(_is_path)]
 
 N_STEPS = 1000
 """Of a plan, a delay or between two frames, at most: all are held in memory and some are gone through one by one."""
@@ -326,8 +312,9 @@ def _stage_needs(config: RunConfig) -> Iterator[_Need]:
 def _check_evaluation(config: RunConfig) -> None:
     """What is evaluated, opened with and shown exists."""
     settings = config.evaluation.settings
-    if ADAPTIVE in config.evaluation.rivals:
-        raise UserError(f"evaluation.rivals must not name one {ADAPTIVE}, which is the policy")
+    for name, who in {ADAPTIVE: "the policy", ORACLE: "what evaluation.oracle brings"}.items():
+        if name in config.evaluation.rivals:
+            raise UserError(f"evaluation.rivals must not name one {name}, which is {who}")
     _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
     if "replay" in config.stages and config.episode is None:

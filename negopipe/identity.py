@@ -26,6 +26,9 @@ DEPENDS_ON = {
 STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report", "replay")
 """... and of a checkpoint, if one is named: evaluated is what was trained from it or, without training, itself."""
 
+NEED_THE_ORACLE = ("evaluate", "report", "replay")
+"""Of an oracle.csv, if one is named, its content counts."""
+
 NOT_TRAINED_ON = ("families",)
 """Of the scenario: training draws from the curriculum's families."""
 WITHOUT_NETWORK = ("behaviour_map", "oracle")
@@ -57,6 +60,9 @@ def stage_key(config: RunConfig, stage: str) -> str:
     if stage in STARTS_FROM_CHECKPOINT and config.checkpoint is not None:
         start = _digest(find_checkpoint(config.checkpoint, config).read_bytes())
         relevant["checkpoint"] = [start, "train" in config.stages]
+    if config.evaluation.oracle is not None and stage in NEED_THE_ORACLE:
+        path = Path(config.evaluation.oracle)
+        relevant["oracle.csv"] = _digest(path.read_bytes()) if path.is_file() else None
     return _digest(json.dumps(relevant, sort_keys=True).encode())
 
 

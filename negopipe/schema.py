@@ -5,6 +5,7 @@ in `conf/`. Unknown keys are refused, wrong types and values out of range raise 
 that `negopipe.config` turns into one line.
 """
 
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import AfterValidator, ConfigDict, Field
@@ -48,6 +49,17 @@ def _is_printable(text: str) -> str:
     return text
 
 
+def _is_path(text: str) -> str:
+    """No file system takes longer names, and `~nobody` is nobody's home."""
+    if not text.isprintable() or len(text) > 1000 or max(len(part.encode()) for part in text.split("/")) > 255:
+        raise ValueError("must be a path of printable characters, at most 1000 in all and 255 bytes between two /")
+    try:
+        Path(text).expanduser()
+    except RuntimeError as error:
+        raise ValueError("must begin with the name of a user where it begins with ~") from error
+    return text
+
+
 Real = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 PositiveFloat = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_is_not_tiny)]
 NonNegativeFloat = Annotated[float, Field(ge=0, le=LARGEST)]
@@ -60,3 +72,4 @@ Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Label = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_is_printable)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
 Interval = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_is_ordered)]
+PathText = Annotated[str, Field(min_length=1), AfterValidator(_is_path)]

@@ -12,7 +12,7 @@ from negopipe.env import Game
 from negopipe.evaluation.rivals import RivalConfig
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
-from negopipe.schema import FileName, PositiveInt, Seed, schema
+from negopipe.schema import FileName, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, where_world
 
@@ -31,6 +31,7 @@ class EvaluationConfig:
     n_worlds: PositiveInt
     task_seed: Seed
     rivals: dict[FileName, RivalConfig]
+    oracle: PathText | None
     action: Literal["most_probable", "sample"]
     reward: RewardConfig
 

@@ -28,7 +28,7 @@ from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES, Trace
 from negopipe.simulation.state import EGO
 
 ADAPTIVE_COLOR = "#00A0A0"
-OTHER_COLORS = ("#7A7A7A", "#B08D57", "#B5B5B5", "#5E7F5E")
+OTHER_COLORS = ("#7A7A7A", "#B08D57", "#B5B5B5", "#5E7F5E", "#8FBF3F")
 OUTCOME_COLORS = {"success": "#BFD9EA", "collision": "#D55E00", "deadlock": "#3C3C3C", "timeout": "#A8A8A8"}
 INK, QUIET, CORRIDOR = "#222222", "#8A8A8A", "#EFEBE2"
 LONGEST_HORIZON_S = 6.0

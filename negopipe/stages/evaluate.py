@@ -2,9 +2,11 @@
 
 import logging
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
+import torch
 from torch import Tensor
 
 from negopipe.driver import HorizonDriver
@@ -13,10 +15,12 @@ from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.comparison import versus_adaptive
 from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.planners import adaptive_planner
+from negopipe.evaluation.replay import replay
 from negopipe.evaluation.rival import Rival
 from negopipe.evaluation.safety import safety
-from negopipe.evaluation.trace import ADAPTIVE, Trace, save_traces
+from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler, pair_styles
@@ -26,12 +30,13 @@ from negopipe.stages.setup import build, load_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from negopipe.config import RunConfig
     from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")
+
+SAME_RETURN = 1e-3
+"""Returns this close are of the same drive; steps cost more."""
 
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
@@ -40,6 +45,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     game, policy = build(config)
     load_policy(checkpoint, policy, config)
     planners = [ADAPTIVE, *config.evaluation.rivals]
+    oracle = None if config.evaluation.oracle is None else read_oracle(Path(config.evaluation.oracle))
     traces, tables = [], []
     with ProgressLine("evaluate", len(planners) * len(config.evaluation.settings)) as progress:
         for setting in config.evaluation.settings:
@@ -49,6 +55,10 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
                 tables.append(measure(config, trace))
                 traces.append(trace.first(config.evaluation.n_traced))
                 progress.advance(f"{setting}, {name}")
+            if oracle is not None and (oracle["setting"] == setting).any():
+                trace = _drive_oracle(config, game, tasks, oracle[oracle["setting"] == setting], setting)
+                tables.append(measure(config, trace))
+                traces.append(trace.first(config.evaluation.n_traced))
     table = pd.concat(tables, ignore_index=True)
     table.to_csv(run.folder / "episodes.csv", index=False)
     save_traces(run.folder / "traces.npz", traces)
@@ -80,6 +90,34 @@ def drive_rival(config: "RunConfig", game: Game, rival: Rival, tasks: Task, name
     return drive_episodes(game, partial(rival.driver, game), driven, n_worlds, paid, names, rival.is_in_step)
 
 
+def read_oracle(path: Path) -> pd.DataFrame:
+    """An oracle.csv; UserError if there is none, or if it holds no horizons."""
+    if not path.is_file():
+        raise UserError(
+            f"evaluation.oracle must be an oracle.csv as +experiment=oracle writes it, got {path}: no such file"
+        )
+    table = pd.read_csv(path, keep_default_na=False)
+    if not {"setting", "episode", "horizons", "reward"} <= set(table.columns):
+        raise UserError(f"evaluation.oracle must be an oracle.csv with a column horizons, got {path}")
+    return table
+
+
+def _drive_oracle(config: "RunConfig", game: Game, tasks: Task, found: pd.DataFrame, setting: str) -> Trace:
+    """What a search found for tasks of a setting; what it returns shows whether it was found for them."""
+    which = torch.tensor(found["episode"].to_numpy(), device=tasks.family.device)
+    if which.max() >= len(tasks):
+        raise UserError(
+            f"evaluation.oracle must be of the first {len(tasks)} tasks of {setting}, got task {which.max()}"
+        )
+    driven = map_tensors(lambda field: field[which], tasks)
+    trace = replay(game, driven, list(map(from_text, found["horizons"])), config.evaluation.reward, (ORACLE, setting))
+    returned = trace.reward.sum(0, dtype="float64")
+    if not (abs(returned - found["reward"].to_numpy()) < SAME_RETURN).all():
+        expected = f"{found['reward'].mean():.2f} on average in {setting}, as it says, got {returned.mean():.2f}"
+        raise UserError(f"evaluation.oracle must be of this road, planner and reward and return {expected}")
+    return trace
+
+
 def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
     """The setting's tasks, the same for every planner and training seed; training draws from other streams."""
     stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
@@ -93,7 +131,7 @@ def measure(config: "RunConfig", trace: Trace) -> pd.DataFrame:
     return driven.join(safety(trace, config.scenario.vehicle, config.planner.limits.full_braking_mps2))
 
 
-def checkpoint_of(config: "RunConfig", run: "TrackedRun") -> "Path":
+def checkpoint_of(config: "RunConfig", run: "TrackedRun") -> Path:
     """What this run trained, or else what `checkpoint` names."""
     own = run.folder / CHECKPOINT_NAME
     if own.is_file() and (config.checkpoint is None or "train" in config.stages):

@@ -13,8 +13,10 @@ from negopipe.env import Game
 from negopipe.errors import UserError
 from negopipe.evaluation import oracle as search
 from negopipe.gym_env import compose_config
-from negopipe.stages import oracle
+from negopipe.stages import evaluate, oracle
 from negopipe.stages.evaluate import held_out_tasks
+from negopipe.stages.setup import build, save_policy
+from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 
 TINY = (
     "+experiment=oracle",
@@ -39,6 +41,54 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
         patch.setattr(search, "SWITCH_PAIRS", ((8, 24),))
         oracle.run(tiny(), run)
     return run
+
+
+def with_its_oracle(table: Path, *overrides: str) -> RunConfig:
+    """The evaluation of a fresh policy on the tasks of `ran`."""
+    return tiny(
+        *(f"evaluation.oracle={table}", "evaluation/rival=[fixed_0]", "evaluation.settings=[push,yield]"),
+        *("evaluation.leading_setting=push", "evaluation.n_episodes=3", *overrides),
+    )
+
+
+def evaluated(config: RunConfig, folder: Path) -> RecordedRun:
+    run = RecordedRun(folder)
+    _, policy = build(config)
+    save_policy(folder / CHECKPOINT_NAME, policy, config, 0)
+    evaluate.run(config, run)
+    return run
+
+
+def test_what_was_found_can_be_driven_as_a_planner(ran: RecordedRun, tmp_path: Path) -> None:
+    evaluated(with_its_oracle(ran.folder / "oracle.csv"), tmp_path)
+    table = pd.read_csv(tmp_path / "episodes.csv").query("planner == 'oracle'")
+    found = pd.read_csv(ran.folder / "oracle.csv").query("setting == 'push'")
+    assert table["setting"].tolist() == ["push", "push"]  # it was not searched in yield
+    for column in ("episode", "outcome", "horizons"):
+        assert table[column].tolist() == found[column].tolist()
+    assert table["reward"].tolist() == pytest.approx(found["reward"].tolist())
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["scenario.road.corridor_length_m=11.0"], "must be of this road, planner and reward"),
+        (["evaluation.n_episodes=1", "oracle.n_episodes=1"], "must be of the first 1 tasks of push, got task 1"),
+    ],
+)
+def test_what_was_found_for_other_tasks_is_refused(
+    ran: RecordedRun, tmp_path: Path, overrides: list[str], message: str
+) -> None:
+    with pytest.raises(UserError, match=message):
+        evaluated(with_its_oracle(ran.folder / "oracle.csv", *overrides), tmp_path)
+
+
+def test_an_oracle_that_is_none_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"evaluation\.oracle must be an oracle\.csv .* no such file"):
+        evaluate.read_oracle(tmp_path / "oracle.csv")
+    (tmp_path / "oracle.csv").write_text("setting,episode\npush,0\n")
+    with pytest.raises(UserError, match="with a column horizons"):
+        evaluate.read_oracle(tmp_path / "oracle.csv")
 
 
 def test_a_row_per_task_and_measures_that_agree(ran: RecordedRun) -> None:
