@@ -11,12 +11,12 @@ The map, from the bottom up (a part imports only what stands above it here):
     learning/     rollout, advantage, curriculum, update (what algorithms share), learner; acktr and acktr_adam
                   (with kfac), a2c and ppo (with adam): tensors only, nothing of the simulator
     chunks, env   the game as batched worlds for the learner
-    evaluation/   drives held-out tasks: planners, rivals (whom the policy is compared with), episodes, trace,
-                  metrics; statistics over tasks and seeds
-    report/       figures, animation, page
+    evaluation/   drives held-out tasks: planners, rivals (whom the policy is compared with), episodes, trace, replay;
+                  metrics, safety; statistics over tasks and seeds, comparison, claims of the paper
+    report/       figures, animation, headlines, tables, page
     tracking/     what a run tells a store: journal -> delivery -> MLflow; checkpoints, snapshots,
                   the policies that come with negopipe
-    stages/       train, evaluate, report, behaviour_map, oracle, benchmark: each a function of config and run;
+    stages/       train, evaluate, report, replay, behaviour_map, oracle, benchmark: each a function of config and run;
                   what is stopped goes on from its last snapshot
     config        RunConfig, the root schema   identity   which results are the same
     sweeping/     a sweep's objective, Optuna search, summary, results over seeds, learning curves
