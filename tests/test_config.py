@@ -205,3 +205,10 @@ def test_neutral_keys_exist() -> None:
 def test_the_config_can_be_read_back_from_its_mapping() -> None:
     config = build("seed=3")
     assert load(OmegaConf.create(as_mapping(config))) == config
+
+
+def test_all_rivals_are_all_there_are() -> None:
+    folder = CONF / "evaluation" / "rival"
+    single = {path.stem for path in folder.glob("*.yaml")} - {"all", "paper"}
+    assert set(compose_config(["evaluation/rival=all"]).evaluation.rivals) == single
+    assert list(compose_config().evaluation.rivals) == ["fixed_0", "fixed_2", "fixed_4", "fixed_6"]

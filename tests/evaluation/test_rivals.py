@@ -21,7 +21,10 @@ from negopipe.gym_env import compose_config
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import Task
 
-FILES = sorted((Path(__file__).parents[2] / "conf/evaluation/rival").glob("*.yaml"))
+TOGETHER = {"paper", "all"}
+"""Options that stand for several."""
+FOLDER = Path(__file__).parents[2] / "conf/evaluation/rival"
+FILES = sorted(path for path in FOLDER.glob("*.yaml") if path.stem not in TOGETHER)
 NAMES = [path.stem for path in FILES]
 
 
