@@ -1,0 +1,78 @@
+"""Replays: the recorded horizons give the recorded drive, and the policy is asked what it saw then."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import torch
+from games import draw_tasks
+
+from negopipe.config import RunConfig
+from negopipe.driver import HorizonDriver
+from negopipe.env import Game, build_game
+from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.planners import adaptive_planner
+from negopipe.evaluation.replay import look_into, replay
+from negopipe.evaluation.trace import EPISODE_AXIS, Trace
+from negopipe.gym_env import compose_config
+from negopipe.policy.actor_critic import ActorCritic, grid_actor_critic
+from negopipe.simulation.state import Task
+
+
+@pytest.fixture(scope="module")
+def config() -> RunConfig:
+    return compose_config(["scenario.episode_steps=20"])
+
+
+@pytest.fixture(scope="module")
+def game(config: RunConfig) -> Game:
+    return build_game(config)
+
+
+@pytest.fixture(scope="module")
+def policy(config: RunConfig, game: Game) -> ActorCritic:
+    random = torch.Generator().manual_seed(0)
+    return grid_actor_critic(config.policy, game.observation_shape, torch.device("cpu"), random)
+
+
+@pytest.fixture(scope="module")
+def tasks(config: RunConfig) -> Task:
+    return draw_tasks(config, 3)
+
+
+@pytest.fixture(scope="module")
+def driven(config: RunConfig, game: Game, policy: ActorCritic, tasks: Task) -> Trace:
+    """With horizons that are drawn, so that they change."""
+
+    def ego(chance: torch.Tensor) -> HorizonDriver:
+        return HorizonDriver(adaptive_planner(policy, game, config.policy.horizons_s, chance), game.plan)
+
+    return drive_episodes(game, ego, tasks, 3, config.evaluation.reward, ("adaptive", "push"), is_in_step=True)
+
+
+def chosen(trace: Trace) -> list[np.ndarray]:
+    return [trace.horizon_s[:n, episode, 0] for episode, n in enumerate(trace.n_steps)]
+
+
+def test_the_same_drive_again(config: RunConfig, game: Game, tasks: Task, driven: Trace) -> None:
+    assert len(np.unique(np.concatenate(chosen(driven)))) > 1
+    again = replay(game, tasks, chosen(driven), config.evaluation.reward, ("adaptive", "push"))
+    for field in fields(Trace):
+        then, now = getattr(driven, field.name), getattr(again, field.name)
+        is_float = field.name in EPISODE_AXIS and then.dtype.kind == "f"
+        assert np.array_equal(then, now, equal_nan=is_float) if field.name in EPISODE_AXIS else then == now
+
+
+def test_the_policy_is_seen_thinking(
+    config: RunConfig, game: Game, policy: ActorCritic, tasks: Task, driven: Trace
+) -> None:
+    paid, horizons = config.evaluation.reward, config.policy.horizons_s
+    insights = look_into(game, policy, horizons, 1.0, tasks, chosen(driven), paid)
+    for insight, n in zip(insights, driven.n_steps, strict=True):
+        assert insight.grids.shape == (n, *game.observation_shape)
+        assert insight.probability.sum(1) == pytest.approx(np.ones(n), abs=1e-5)
+    first = game.see(game.simulator.reset(tasks))
+    with torch.no_grad():
+        expected = policy(first)[0].softmax(-1)
+    assert np.array_equal(np.stack([insight.grids[0] for insight in insights]), first.numpy())
+    assert np.stack([insight.probability[0] for insight in insights]) == pytest.approx(expected.numpy(), abs=1e-5)
