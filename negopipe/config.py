@@ -27,7 +27,7 @@ from negopipe.planner.frenet import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
 from negopipe.reward import RewardConfig
-from negopipe.schema import FileName, PathText, PositiveInt, Seed, schema
+from negopipe.schema import FileName, Label, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
@@ -58,7 +58,20 @@ RECORD_BYTES = 100
 """Of one vehicle's step in a `Trace`, while it is put together."""
 
 RESULT_NEUTRAL = {
-    *("name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "tracking")
+    *(
+        "name",
+        "objective",
+        "seed",
+        "outputs",
+        "stages",
+        "rerun",
+        "reuse",
+        "n_threads",
+        "report",
+        "episode",
+        "runs",
+        "tracking",
+    )
 }
 """Keys that `run_name` leaves out of its hash: where a run is kept, which part of it runs now, how its
 results are shown. `n_threads` is among them because threads change rounding at most; `device` and `compile`
@@ -76,6 +89,7 @@ class RunConfig:
     objective: Annotated[tuple[str, ...], Field(min_length=1)]
     checkpoint: PathText | None
     episode: EpisodeText | None
+    runs: Label | None
     rerun: bool
     reuse: Literal["same_code", "any_code"]
     device: Literal["auto", "cpu", "cuda"]
@@ -129,6 +143,7 @@ def run_name(config: RunConfig) -> str:
     """Name of the run folder, `seed<seed>-<8 hex>`: the same for everything that gives the same result."""
     idle = set(get_args(Stage)) - set(config.stages)  # the group of a stage acts only where the stage runs
     relevant = {key: value for key, value in as_mapping(config).items() if key not in RESULT_NEUTRAL | idle}
+    relevant |= {} if config.runs is None else {"runs": config.runs}  # a report on other runs has a folder of its own
     canonical = json.dumps(relevant, sort_keys=True, separators=(",", ":"))
     return f"seed{config.seed}-{hashlib.sha256(canonical.encode()).hexdigest()[:8]}"
 
@@ -317,6 +332,8 @@ def _check_evaluation(config: RunConfig) -> None:
             raise UserError(f"evaluation.rivals must not name one {name}, which is {who}")
     _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
+    if config.runs is not None and config.stages != ("report",):
+        raise UserError(f"stages must be [report] where runs names what is compared, got {list(config.stages)}")
     if "replay" in config.stages and config.episode is None:
         raise UserError("episode must be <setting>/<planner>/<number> for the stage replay, got null")
     if "report" in config.stages:

@@ -23,6 +23,7 @@ ALL = set(DEPENDS_ON)
         ("oracle.rounds=3", {"oracle"}),
         ("report.n_animations=3", {"report", "replay", "behaviour_map"}),
         ("episode=push/adaptive/1", {"replay"}),
+        ("evaluation.oracle=nowhere.csv", ALL - {"train"}),
         ("n_threads=1", {"benchmark"}),
         ("policy.precision=bfloat16", {"train", "evaluate", "report", "replay", "benchmark"}),
         ("policy.memory_format=channels_first", {"benchmark"}),

@@ -61,6 +61,11 @@ CAPTIONS = {
         horizon: 0 s ignores the social vehicle and pushes, 6 s gives way early. White: the episode is
         over.""",
     ),
+    "learning_curves": (
+        "Learning curves",
+        """Success rate and return of the latest episodes while training, over decisions and over wall time. Lines
+        are means over seeds, bands reach from the lowest to the highest seed.""",
+    ),
     "training": (
         "Learning curves",
         """Thin: as logged; thick: running mean. Stages of the curriculum: {stages}. A dashed line begins

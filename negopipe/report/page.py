@@ -11,8 +11,8 @@ from pydantic import Field
 
 from negopipe.evaluation.claims import Claim
 from negopipe.report.figures import setting_label
-from negopipe.report.headlines import Measures, Versus, headlines
-from negopipe.report.tables import n_episodes, tables
+from negopipe.report.headlines import Measures, Versus
+from negopipe.report.tables import Table, n_episodes, tables
 from negopipe.schema import NonNegativeInt, PositiveInt, schema
 
 
@@ -36,6 +36,23 @@ class Results:
 
     evaluation: Mapping[str, Mapping[str, Measures]]
     versus: Mapping[str, Mapping[str, Versus]]
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """Tables under a heading with a note, such as how much was measured."""
+
+    title: str
+    note: str
+    tables: Sequence[Table]
+
+
+def chapters(results: Results) -> list[Chapter]:
+    """One per setting."""
+    return [
+        Chapter(setting_label(setting), n_episodes(measures), tables(measures, results.versus[setting]))
+        for setting, measures in results.evaluation.items()
+    ]
 
 
 @dataclass(frozen=True)
@@ -75,12 +92,17 @@ class Provenance:
 
 def build_page(
     name: str,
-    results: Results,
+    verdicts: Sequence[tuple[str, str]],
+    chapters: Sequence[Chapter],
     claims: Sequence[Claim],
     sections: Sequence[Section],
     provenance: Provenance,
 ) -> str:
-    """The HTML text of the report."""
+    """The HTML text of a report.
+
+    verdicts: in plain words, each with the figures behind it
+    claims: of the paper; none leaves the part out
+    """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -91,15 +113,8 @@ def build_page(
     environment.filters["data_uri"] = data_uri
     return environment.get_template("template.html.j2").render(
         name=name,
-        headlines=headlines(results.evaluation, results.versus),
-        settings=[
-            {
-                "name": setting_label(setting),
-                "n_episodes": n_episodes(measures),
-                "tables": tables(measures, results.versus[setting]),
-            }
-            for setting, measures in results.evaluation.items()
-        ],
+        headlines=verdicts,
+        chapters=chapters,
         claims=claims,
         sections=sections,
         provenance=provenance,

@@ -9,7 +9,32 @@ from negopipe.report.headlines import Measures, Versus
 
 
 @dataclass(frozen=True)
-class _Column:
+class Cell:
+    """A number as it is printed, its interval under it (may be empty), whether it is the best of its column."""
+
+    text: str
+    interval: str = ""
+    is_best: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """What the row is about, its colour in the figures as hex, a cell per column."""
+
+    label: str
+    color: str
+    cells: Sequence[Cell]
+
+
+@dataclass(frozen=True)
+class Table:
+    caption: str
+    columns: Sequence[str]
+    rows: Sequence[Row]
+
+
+@dataclass(frozen=True)
+class Column:
     """label: with the unit; key: of the measure; bounds: keys of its interval; factor, decimals: how it is printed;
     best: which end is good; is_signed: a difference, printed with its sign."""
 
@@ -23,27 +48,27 @@ class _Column:
 
 
 ENDED = (
-    _Column("success [%]", "success_rate", 100, 1, "max", ("success_low", "success_high")),
-    _Column("collision [%]", "collision_rate", 100, 1, "min", ("collision_low", "collision_high")),
-    _Column("timeout [%]", "timeout_rate", 100),
-    _Column("of these dead-lock [%]", "deadlock_rate", 100),
-    _Column("reward (Eq. 3)", "reward", 1, 2, "max"),
+    Column("success [%]", "success_rate", 100, 1, "max", ("success_low", "success_high")),
+    Column("collision [%]", "collision_rate", 100, 1, "min", ("collision_low", "collision_high")),
+    Column("timeout [%]", "timeout_rate", 100),
+    Column("of these dead-lock [%]", "deadlock_rate", 100),
+    Column("reward (Eq. 3)", "reward", 1, 2, "max"),
 )
 DROVE = (
-    _Column("time of arrivals [s]", "driving_time_s"),
-    _Column("time at rest [s]", "suspend_time_s"),
-    _Column("suspen-sions", "suspend_count", 1, 2),
-    _Column("passes first [%]", "ego_first_rate", 100),
+    Column("time of arrivals [s]", "driving_time_s"),
+    Column("time at rest [s]", "suspend_time_s"),
+    Column("suspen-sions", "suspend_count", 1, 2),
+    Column("passes first [%]", "ego_first_rate", 100),
 )
 CAME_CLOSE = (
-    _Column("gap [m]", "smallest_gap_m", 1, 2),
-    _Column("time to colli-sion [s]", "smallest_ttc_s"),
-    _Column("braking [m/s²]", "largest_decel_mps2"),
-    _Column("jerk [m/s³]", "largest_jerk_mps3"),
-    _Column("avoidable colli-sions [%]", "avoidable_rate", 100),
+    Column("gap [m]", "smallest_gap_m", 1, 2),
+    Column("time to colli-sion [s]", "smallest_ttc_s"),
+    Column("braking [m/s²]", "largest_decel_mps2"),
+    Column("jerk [m/s³]", "largest_jerk_mps3"),
+    Column("avoidable colli-sions [%]", "avoidable_rate", 100),
 )
 COMPARED = tuple(
-    _Column(label, f"{measure}.value", factor, decimals, None, (f"{measure}.low", f"{measure}.high"), is_signed=True)
+    Column(label, f"{measure}.value", factor, decimals, None, (f"{measure}.low", f"{measure}.high"), is_signed=True)
     for label, measure, factor, decimals in (
         ("success [points]", "success", 100, 1),
         ("time where both arrive [s]", "driving_time_s", 1, 2),
@@ -52,8 +77,8 @@ COMPARED = tuple(
 )
 
 
-def tables(measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> list[dict[str, Any]]:
-    """What the template needs of one setting: tables of captions, column labels and rows of formatted cells.
+def tables(measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> list[Table]:
+    """Of one setting.
 
     measures: planner -> measures; versus: planner other than the policy -> differences to it
     """
@@ -62,9 +87,11 @@ def tables(measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> li
         "How the ego drove": DROVE,
         "Closest and hardest of each episode, mean": CAME_CLOSE,
     }
-    drawn = [_table(caption, columns, measures) for caption, columns in tables_of_all.items()]
+    label = {planner: planner_label(planner) for planner in measures}
+    colors = planner_colors(list(measures))
+    drawn = [table(caption, columns, measures, label, colors) for caption, columns in tables_of_all.items()]
     if versus:
-        drawn.append(_table("Less the adaptive planner, on the same tasks", COMPARED, versus))
+        drawn.append(table("Less the adaptive planner, on the same tasks", COMPARED, versus, label, colors))
     return drawn
 
 
@@ -75,22 +102,24 @@ def n_episodes(measures: Mapping[str, Measures]) -> str:
     return f"{most} episodes each" + (f" ({', '.join(fewer)}, the first ones)" if fewer else "")
 
 
-def _table(caption: str, columns: Sequence[_Column], planners: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    colors = planner_colors(list(planners))
-    by_column = [_cells(column, list(planners.values())) for column in columns]
-    rows = [
-        {"planner": planner_label(planner), "color": colors[planner], "cells": [cells[i] for cells in by_column]}
-        for i, planner in enumerate(planners)
-    ]
-    return {"caption": caption, "columns": [column.label for column in columns], "rows": rows}
+def table(
+    caption: str,
+    columns: Sequence[Column],
+    values: Mapping[str, Mapping[str, Any]],
+    labels: Mapping[str, str],
+    colors: Mapping[str, str],
+) -> Table:
+    """A row per key of `values`, which holds what the columns name; labels and colors are of the same keys."""
+    by_column = [_cells(column, list(values.values())) for column in columns]
+    rows = [Row(labels[key], colors[key], [cells[i] for cells in by_column]) for i, key in enumerate(values)]
+    return Table(caption, [column.label for column in columns], rows)
 
 
-def _cells(column: _Column, planners: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    values = [_value(planner, column.key) for planner in planners]
-    cells = zip(planners, values, _best(column, values), strict=True)
+def _cells(column: Column, rows: Sequence[Mapping[str, Any]]) -> list[Cell]:
+    values = [_value(row, column.key) for row in rows]
     return [
-        {"text": _number(column, value), "interval": _interval(column, planner), "is_best": is_best}
-        for planner, value, is_best in cells
+        Cell(_number(column, value), _interval(column, row), is_best)
+        for row, value, is_best in zip(rows, values, _best(column, values), strict=True)
     ]
 
 
@@ -101,7 +130,7 @@ def _value(values: Mapping[str, Any], key: str) -> float | None:
     return found
 
 
-def _number(column: _Column, value: float | None) -> str:
+def _number(column: Column, value: float | None) -> str:
     if value is None:
         return "none"
     rounded = round(column.factor * value, column.decimals) + 0.0  # no negative zero
@@ -109,7 +138,7 @@ def _number(column: _Column, value: float | None) -> str:
     return text.replace("-", "\N{MINUS SIGN}")
 
 
-def _interval(column: _Column, values: Mapping[str, Any]) -> str:
+def _interval(column: Column, values: Mapping[str, Any]) -> str:
     """`low to high`, or nothing where there is no interval."""
     bounds = [_value(values, key) for key in column.bounds or ()]
     if not bounds or None in bounds:
@@ -117,7 +146,7 @@ def _interval(column: _Column, values: Mapping[str, Any]) -> str:
     return " to ".join(_number(column, bound) for bound in bounds)
 
 
-def _best(column: _Column, values: Sequence[float | None]) -> list[bool]:
+def _best(column: Column, values: Sequence[float | None]) -> list[bool]:
     """Which values are the best of their column as printed; none if all are the same."""
     texts = [_number(column, value) for value in values]
     known = [value for value in values if value is not None]

@@ -2,12 +2,8 @@
 
 import json
 import logging
-import platform
-import shlex
 import shutil
-import sys
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,17 +24,19 @@ from negopipe.report.figures import planner_label, setting_label
 from negopipe.report.headlines import headlines
 from negopipe.report.page import (
     Exhibit,
-    Provenance,
     ReportConfig,
     Results,
     Section,
     build_page,
+    chapters,
     settings_in_order,
 )
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import EGO, map_tensors
+from negopipe.stages import report_runs
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
+from negopipe.stages.provenance import provenance
 from negopipe.stages.setup import build, load_policy
 from negopipe.tracking.whole_file import write_whole
 
@@ -50,8 +48,6 @@ log = logging.getLogger("negopipe")
 
 RESULTS = ("evaluation", "versus_adaptive")
 """Parts of metrics.json that the page shows."""
-PACKAGES = ("negopipe", "torch", "numpy", "pandas", "matplotlib", "hydra-core", "mlflow")
-"""Whose versions the page names."""
 
 
 class _Gallery:
@@ -81,6 +77,8 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     Raises UserError if a file that an earlier stage writes is missing, or if the planners that are shown side
     by side were not evaluated on the same tasks.
     """
+    if config.runs is not None:
+        return report_runs.run(config, run)
     metrics = _read_metrics(run.folder)
     settings = settings_in_order(metrics["evaluation"], config.evaluation.leading_setting)
     shown = [ADAPTIVE, *config.report.side_by_side]
@@ -102,13 +100,15 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
         _behaviour(drawings, traces),
         _training(drawings, run.folder / "history.csv"),
     ]
-    page = build_page(config.name, results, claims, sections, _provenance(config.seed, run.folder))
+    verdicts = headlines(results.evaluation, results.versus)
+    title = f"{config.name}, seed {config.seed}"
+    page = build_page(title, verdicts, chapters(results), claims, sections, provenance(config.seed, run.folder))
     (run.folder / "report.html").write_text(page, encoding="utf-8")
     for gallery in (drawings, films):
         if any(gallery.folder.iterdir()):
             run.log_artifact(gallery.folder, gallery.folder.name)
     run.log_artifact(run.folder / "report.html")
-    run.set_description("\n\n".join(" ".join(lines) for lines in headlines(results.evaluation, results.versus)))
+    run.set_description("\n\n".join(" ".join(lines) for lines in verdicts))
     log.info("report: %s", run.folder / "report.html")
 
 
@@ -334,19 +334,3 @@ def _named(group: list[Trace], planners: Sequence[str]) -> list[Trace]:
             known = ", ".join(by_name) or "none"
             raise UserError(f"the report shows planner {planner}, but traces.npz holds only: {known}")
     return [by_name[planner] for planner in planners]
-
-
-def _provenance(seed: int, folder: Path) -> Provenance:
-    config_path = folder / "config.yaml"
-    if not config_path.is_file():
-        raise UserError(f"{config_path}: no such file; every run writes it when it starts")
-    command = shlex.join(["python", "-m", "negopipe", *sys.argv[1:]])
-    versions = {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
-    return Provenance(command, seed, config_path.read_text(encoding="utf-8"), versions)
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed as a package"

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import yaml
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -24,6 +25,7 @@ from negopipe.errors import UserError
 from negopipe.evaluation.statistics import Estimate, interquartile_mean, mean_difference, rate
 from negopipe.evaluation.trace import ADAPTIVE
 from negopipe.sweeping.swept_runs import read_runs
+from negopipe.tracking.run_folder import CONFIG_NAME
 
 RATES = {"success": "success_rate", "collision": "collision_rate"}
 """Outcomes that are counted, and what their shares are called."""
@@ -64,15 +66,25 @@ def read_episodes(folder: Path, sweep: str | None = None) -> pd.DataFrame:
     runs = [run for run in read_runs(folder, sweep) if (folder / run.name / "episodes.csv").exists()]
     if not runs:
         raise UserError(f"{folder}: no run in it has been evaluated")
-    seeds = [run.config["seed"] for run in runs]
+    return read_tables([folder / run.name for run in runs])
+
+
+def read_tables(folders: Sequence[Path]) -> pd.DataFrame:
+    """The same of evaluated runs of one config, which may lie apart."""
+    place = folders[0].parent
+    seeds = [_seed(folder) for folder in folders]
     if len(set(seeds)) < len(seeds):
-        raise UserError(f"{folder}: must hold one run per seed (--sweep picks some), got seeds {seeds}")
-    tables = [pd.read_csv(folder / run.name / "episodes.csv") for run in runs]
+        raise UserError(f"{place}: must hold one run per seed (--sweep picks some), got seeds {seeds}")
+    tables = [pd.read_csv(folder / "episodes.csv") for folder in folders]
     tasks = [_tasks(table) for table in tables]
-    for run, own in zip(runs[1:], tasks[1:], strict=True):
+    for folder, own in zip(folders[1:], tasks[1:], strict=True):
         if not own.equals(tasks[0]):
-            raise UserError(f"{folder}: {run.name} drove other tasks than {runs[0].name}; evaluate them alike")
+            raise UserError(f"{place}: {folder.name} drove other tasks than {folders[0].name}; evaluate them alike")
     return pd.concat([table.assign(seed=seed) for seed, table in zip(seeds, tables, strict=True)], ignore_index=True)
+
+
+def _seed(folder: Path) -> int:
+    return int(yaml.safe_load((folder / CONFIG_NAME).read_text(encoding="utf-8"))["seed"])
 
 
 def _tasks(episodes: pd.DataFrame) -> pd.DataFrame:

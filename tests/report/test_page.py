@@ -11,6 +11,7 @@ from measured import measures, versus
 from pydantic import TypeAdapter, ValidationError
 
 from negopipe.evaluation.claims import Claim, Finding
+from negopipe.report.headlines import headlines
 from negopipe.report.page import (
     Exhibit,
     Provenance,
@@ -18,6 +19,7 @@ from negopipe.report.page import (
     Results,
     Section,
     build_page,
+    chapters,
     data_uri,
     settings_in_order,
 )
@@ -45,7 +47,8 @@ def make_page(name: str = "yield", results: Results = RESULTS) -> str:
     exhibits = [Exhibit("A figure", "Upwards is <good>.", SVG), Exhibit("A film", "Left is left.", PNG, PNG)]
     sections = [Section("First part", "What it shows.", exhibits), Section("Second part", "", [])]
     provenance = Provenance("python -m negopipe +experiment=yield", 7, "seed: 7\n", {"torch": "2.13.0"})
-    return build_page(name, results, [CLAIM], sections, provenance)
+    verdicts = headlines(results.evaluation, results.versus)
+    return build_page(name, verdicts, chapters(results), [CLAIM], sections, provenance)
 
 
 def test_page_holds_everything() -> None:

@@ -36,7 +36,7 @@ class Evaluation:
 class Config:
     """Stands for the root config, as far as the stage reads it."""
 
-    name, seed, evaluation = "push", 3, Evaluation()
+    name, seed, runs, evaluation = "push", 3, None, Evaluation()
     curriculum = SimpleNamespace(stages=[SimpleNamespace(families={})])
     scenario: ScenarioConfig
     report: ReportConfig

@@ -2,35 +2,35 @@
 
 from measured import measures, versus
 
-from negopipe.report.tables import n_episodes, tables
+from negopipe.report.tables import Cell, n_episodes, tables
 
 MEASURES = {"adaptive": measures(0.9, 0.1, 14.0), "fixed_0": measures(0.0, 1.0, None)}
 
 
 def test_rates_have_intervals_and_the_best_is_marked() -> None:
     ended, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)})
-    assert ended["columns"][0] == "success [%]"
-    adaptive, fixed = ended["rows"]
-    assert adaptive["planner"] == "adaptive"
-    assert adaptive["cells"][0] == {"text": "90.0", "interval": "80.0 to 100.0", "is_best": True}
-    assert fixed["cells"][0] == {"text": "0.0", "interval": "0.0 to 10.0", "is_best": False}
-    timeout = adaptive["cells"][2]
-    assert (timeout["interval"], timeout["is_best"]) == ("", False)
+    assert ended.columns[0] == "success [%]"
+    adaptive, fixed = ended.rows
+    assert adaptive.label == "adaptive"
+    assert adaptive.cells[0] == Cell("90.0", "80.0 to 100.0", True)
+    assert fixed.cells[0] == Cell("0.0", "0.0 to 10.0", False)
+    timeout = adaptive.cells[2]
+    assert (timeout.interval, timeout.is_best) == ("", False)
 
 
 def test_what_there_is_none_of_is_none() -> None:
     _, drove, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)})
-    column = drove["columns"].index("time of arrivals [s]")
-    assert [row["cells"][column]["text"] for row in drove["rows"]] == ["14.0", "none"]
-    assert not any(cell["is_best"] for row in drove["rows"] for cell in row["cells"])
+    column = drove.columns.index("time of arrivals [s]")
+    assert [row.cells[column].text for row in drove.rows] == ["14.0", "none"]
+    assert not any(cell.is_best for row in drove.rows for cell in row.cells)
 
 
 def test_differences_carry_their_sign_and_interval() -> None:
     *_, compared = tables(MEASURES, {"fixed_0": versus(-0.9)})
-    success, time, _ = compared["rows"][0]["cells"]
+    success, time, _ = compared.rows[0].cells
     minus = "\N{MINUS SIGN}"
-    assert success == {"text": f"{minus}90.0", "interval": f"{minus}95.0 to {minus}85.0", "is_best": False}
-    assert (time["text"], time["interval"]) == ("none", "")
+    assert success == Cell(f"{minus}90.0", f"{minus}95.0 to {minus}85.0")
+    assert (time.text, time.interval) == ("none", "")
     assert len(tables({"adaptive": MEASURES["adaptive"]}, {})) == 3
 
 
@@ -38,7 +38,7 @@ def test_equal_numbers_are_not_marked() -> None:
     ended, *_ = tables(
         {"adaptive": measures(1.0, 0.0, 8.0), "fixed_0": measures(1.0, 0.0, 9.0)}, {"fixed_0": versus(0)}
     )
-    assert not any(row["cells"][0]["is_best"] for row in ended["rows"])
+    assert not any(row.cells[0].is_best for row in ended.rows)
 
 
 def test_who_drove_fewer_is_named() -> None:

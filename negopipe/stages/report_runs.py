@@ -1,0 +1,51 @@
+"""The report stage over many runs: seeds, algorithms or ablations compared, without running any of them again."""
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from negopipe.report.captions import caption
+from negopipe.report.figures import render
+from negopipe.report.page import Exhibit, Section, build_page
+from negopipe.stages.provenance import provenance
+from negopipe.sweeping.comparison import compare, find_runs, group, read_groups, read_histories, short_names
+from negopipe.sweeping.learning_curves import learning_curves
+from negopipe.tracking.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from negopipe.config import RunConfig
+    from negopipe.tracking.store import TrackedRun
+
+log = logging.getLogger("negopipe")
+
+
+def run(config: "RunConfig", run: "TrackedRun") -> None:
+    """Write report.html on the runs that `runs` names into this run's folder; UserError if there is none."""
+    found = find_runs(Path(config.outputs).absolute(), str(config.runs))
+    by_overrides = group(found)
+    log.info(f"report: {len(found)} runs of {len(by_overrides)} configs")
+    short = short_names(by_overrides)
+    groups = {short[name]: folders for name, folders in by_overrides.items()}
+    verdicts, chapters = compare(read_groups(groups))
+    title = f"runs {config.runs}"
+    sections = [_configs(short), _training(groups)]
+    page = build_page(title, verdicts, chapters, [], sections, provenance(config.seed, run.folder))
+    path = run.folder / "report.html"
+    write_whole(path, page.encode())
+    run.log_artifact(path)
+    run.set_description("\n\n".join(" ".join(lines) for lines in verdicts))
+    log.info("report: %s", path)
+
+
+def _configs(short: dict[str, str]) -> Section:
+    """What the configs are, where letters stand for them."""
+    told = "; ".join(f"{letter}: {overrides}" for overrides, letter in short.items())
+    return Section("Configs", f"What sets the runs apart. {told}.", [])
+
+
+def _training(groups: dict[str, list[Path]]) -> Section:
+    histories = read_histories(groups)
+    if histories.empty:
+        return Section("Training", "None of the runs was trained.", [])
+    drawing = render(learning_curves(histories), "svg")
+    return Section("Training", "", [Exhibit(*caption("learning_curves"), drawing)])

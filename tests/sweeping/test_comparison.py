@@ -1,0 +1,87 @@
+"""Runs compared: who belongs together, what they are called, and what is said of them."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from swept import make_run
+from tracked import RecordedRun
+
+from negopipe.errors import UserError
+from negopipe.stages import report_runs
+from negopipe.sweeping.comparison import compare, find_runs, group, read_groups, short_names
+
+N = 50
+
+
+def evaluated(outputs: Path, seed: int, rate: float, success: float, distance_m: float = 12.0) -> Path:
+    """A run whose policy succeeds in that share of the tasks."""
+    folder = make_run(outputs, seed, rate, -8.0)
+    is_success = np.arange(N) < success * N
+    table = pd.DataFrame({"planner": "adaptive", "setting": "push", "episode": range(N), "style_horizon_s": 6.0})
+    table = table.assign(social_start_distance_m=distance_m, outcome=np.where(is_success, "success", "deadlock"))
+    table.assign(driving_time_s=8.0, reward=np.where(is_success, 2.0, -32.0)).to_csv(folder / "episodes.csv")
+    history = pd.DataFrame({"decisions": [1000, 2000], "wall_s": [1.0, 2.0], "success_rate": 0.5, "return_mean": -9.0})
+    history.to_csv(folder / "history.csv", index=False)
+    return folder
+
+
+@pytest.fixture
+def outputs(tmp_path: Path) -> Path:
+    for seed in (1, 2, 3):
+        evaluated(tmp_path, seed, 0.1, 0.5 + 0.1 * seed)
+        evaluated(tmp_path, seed, 0.2, 0.9)
+    return tmp_path
+
+
+def test_seeds_of_a_config_are_one_group_named_by_its_overrides(outputs: Path) -> None:
+    groups = group(find_runs(outputs, "yie*"))
+    assert {name: len(folders) for name, folders in groups.items()} == {
+        "algorithm.rate=0.1": 3,
+        "algorithm.rate=0.2": 3,
+    }
+    assert group(find_runs(outputs, "rates")) == groups  # by the tag of the sweep
+
+
+def test_the_better_config_is_named_with_how_likely_it_is_better(outputs: Path) -> None:
+    verdicts, (chapter,) = compare(read_groups(group(find_runs(outputs, "yield"))))
+    assert verdicts[0][0] == "Push: algorithm.rate=0.2 has the highest reward of 2 configs."
+    across, each = chapter.tables
+    assert [row.cells[0].text for row in across.rows] == ["70.0", "90.0"]  # of 60, 70, 80 and three times 90 %
+    assert [row.cells[3].text for row in across.rows] == ["50", "100"]
+    assert [row.label for row in each.rows][:2] == ["algorithm.rate=0.1, seed 1", "algorithm.rate=0.1, seed 2"]
+    assert each.rows[0].cells[0].interval
+
+
+def test_long_names_become_letters() -> None:
+    assert short_names(["a=1", "a=2"]) == {"a=1": "a=1", "a=2": "a=2"}
+    assert list(short_names(["a=1", "b" * 40]).values()) == ["A", "B"]
+
+
+def test_what_cannot_be_compared_is_said(outputs: Path) -> None:
+    with pytest.raises(UserError, match=r"runs must match .* among yield, got nothing"):
+        find_runs(outputs, "nothing")
+    evaluated(outputs, 4, 0.2, 0.9, distance_m=13.0)
+    with pytest.raises(UserError, match="drove other tasks"):
+        read_groups(group(find_runs(outputs, "yield")))
+
+
+def test_the_stage_writes_a_page(outputs: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "config.yaml").write_text("runs: yield\n")
+    run = RecordedRun(folder)
+    report_runs.run(SimpleNamespace(outputs=str(outputs), runs="yield", seed=1), run)  # type: ignore[arg-type]
+    page = (folder / "report.html").read_text()
+    for text in (
+        "Over seeds",
+        "Every seed",
+        "algorithm.rate=0.2, seed 3",
+        "Learning curves",
+        "more reward than the first",
+    ):
+        assert text in page
+    assert "The paper's claims" not in page
+    assert run.description.startswith("Push: algorithm.rate=0.2")
