@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from negopipe.reward import RewardConfig
 from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
 from negopipe.simulation.scenario import Families, ScenarioConfig
 
@@ -52,11 +53,17 @@ class CurriculumConfig:
     advance: null = every stage takes its K_i iterations; else a stage may end early. The last stage takes all
         iterations that are left, so that a training has sum K_i iterations in any case
     starts: of all stages
+    rewards: of stages, by name, that pay otherwise than the run's reward
     """
 
     stages: Annotated[tuple[CurriculumStageConfig, ...], Field(min_length=1)]
     advance: AdvanceConfig | None
     starts: StartsConfig
+    rewards: dict[Label, RewardConfig]
+
+    def reward(self, stage: CurriculumStageConfig, otherwise: RewardConfig) -> RewardConfig:
+        """What a stage pays."""
+        return self.rewards.get(stage.name, otherwise)
 
     def scenario(self, evaluated: ScenarioConfig) -> ScenarioConfig:
         """The scenario in which training drives, for the one in which the policy is evaluated."""

@@ -86,7 +86,7 @@ class Training:
         self.learner = Learner(self.policy, algorithm, generator(config.seed, "updates", device))
         tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
         self.n_steps = algorithm.n_steps
-        self.curriculum = Curriculum(config.curriculum)
+        self.curriculum, self._reward = Curriculum(config.curriculum), config.reward
         scenario = config.curriculum.scenario(config.scenario)
         self._samplers = [TaskSampler(scenario, stage.families, tasks) for stage in config.curriculum.stages]
         horizons_s = config.policy.horizons_s
@@ -108,6 +108,7 @@ class Training:
         """Collect, update; returns the iteration's row of the learning curve."""
         stage = self.curriculum.stage  # (K, D) of Algorithm 1
         self.env.sampler = self._samplers[self.curriculum.index]  # T ~ D, a new one per episode
+        self.env.reward_config = self.curriculum.config.reward(stage, self._reward)
         self.weights_before = _copy(self.policy)
         rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
         metrics = self.learner.update(rollout, self.n_done / self.n_total)

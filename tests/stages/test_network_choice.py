@@ -1,8 +1,8 @@
 """Precision and memory format are timed once and kept; given values count as given, and fewer digits must pay."""
 
 import json
-from collections.abc import Callable
 import math
+from collections.abc import Callable
 from functools import partial
 from itertools import product
 from pathlib import Path
