@@ -58,21 +58,9 @@ RECORD_BYTES = 100
 """Of one vehicle's step in a `Trace`, while it is put together."""
 
 RESULT_NEUTRAL = {
-    *(
-        "name",
-        "objective",
-        "seed",
-        "outputs",
-        "stages",
-        "rerun",
-        "reuse",
-        "n_threads",
-        "report",
-        "episode",
-        "runs",
-        "tracking",
-    )
-}
+    "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "runs",
+    "tracking",
+}  # fmt: skip
 """Keys that `run_name` leaves out of its hash: where a run is kept, which part of it runs now, how its
 results are shown. `n_threads` is among them because threads change rounding at most; `device` and `compile`
 are not: they draw and round differently. The seed stands beside the hash, so a config's seeds share it."""

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
-import torch
 from torch import Tensor
 
 from negopipe.driver import HorizonDriver
@@ -104,12 +103,10 @@ def read_oracle(path: Path) -> pd.DataFrame:
 
 def _drive_oracle(config: "RunConfig", game: Game, tasks: Task, found: pd.DataFrame, setting: str) -> Trace:
     """What a search found for tasks of a setting; what it returns shows whether it was found for them."""
-    which = torch.tensor(found["episode"].to_numpy(), device=tasks.family.device)
-    if which.max() >= len(tasks):
-        raise UserError(
-            f"evaluation.oracle must be of the first {len(tasks)} tasks of {setting}, got task {which.max()}"
-        )
-    driven = map_tensors(lambda field: field[which], tasks)
+    if found["episode"].tolist() != list(range(len(found))) or len(found) > len(tasks):
+        said = f"{len(found)} tasks up to {found['episode'].max()}"
+        raise UserError(f"evaluation.oracle must be of the first of the {len(tasks)} tasks of {setting}, got {said}")
+    driven = map_tensors(lambda field: field[: len(found)], tasks)
     trace = replay(game, driven, list(map(from_text, found["horizons"])), config.evaluation.reward, (ORACLE, setting))
     returned = trace.reward.sum(0, dtype="float64")
     if not (abs(returned - found["reward"].to_numpy()) < SAME_RETURN).all():

@@ -73,7 +73,10 @@ def test_what_was_found_can_be_driven_as_a_planner(ran: RecordedRun, tmp_path: P
     ("overrides", "message"),
     [
         (["scenario.road.corridor_length_m=11.0"], "must be of this road, planner and reward"),
-        (["evaluation.n_episodes=1", "oracle.n_episodes=1"], "must be of the first 1 tasks of push, got task 1"),
+        (
+            ["evaluation.n_episodes=1", "oracle.n_episodes=1"],
+            "must be of the first of the 1 tasks of push, got 2 tasks up to 1",
+        ),
     ],
 )
 def test_what_was_found_for_other_tasks_is_refused(
@@ -81,6 +84,13 @@ def test_what_was_found_for_other_tasks_is_refused(
 ) -> None:
     with pytest.raises(UserError, match=message):
         evaluated(with_its_oracle(ran.folder / "oracle.csv", *overrides), tmp_path)
+
+
+def test_a_part_of_what_was_found_is_refused(ran: RecordedRun, tmp_path: Path) -> None:
+    table = pd.read_csv(ran.folder / "oracle.csv")
+    table[table["episode"] > 0].to_csv(tmp_path / "oracle.csv", index=False)
+    with pytest.raises(UserError, match="got 1 tasks up to 1"):
+        evaluated(with_its_oracle(tmp_path / "oracle.csv"), tmp_path)
 
 
 def test_an_oracle_that_is_none_is_named(tmp_path: Path) -> None:
