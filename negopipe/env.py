@@ -21,6 +21,7 @@ from negopipe.simulation.scenario import ScenarioConfig, TaskSampler
 from negopipe.simulation.simulator import Events, Simulator
 from negopipe.simulation.state import (
     EGO,
+    NEAREST,
     Motion,
     VehicleState,
     World,
@@ -168,8 +169,8 @@ class NegotiationEnv:
         horizon = world.style_horizon.clone()
         horizon[:, EGO] = self._horizons[action]
         moved, events, reached = self.game.advance(world, horizon)
-        is_done = events.is_terminated | events.is_truncated
-        final = self._start_again(moved, reached, is_done.nonzero()[:, 0])
+        which = (events.is_terminated | events.is_truncated).nonzero()[:, 0]
+        final = self._start_again(moved, reached, which)
         return Transition(
             observation=self._observation,
             final_observation=final,
@@ -178,6 +179,10 @@ class NegotiationEnv:
             is_truncated=events.is_truncated,
             is_success=events.is_success,
             is_collision=events.is_collision,
+            final_info={
+                "social_start_distance_m": world.task.start_distance[which, NEAREST],
+                "style_horizon_s": world.task.style_horizon[which, NEAREST],
+            },
         )
 
     def state_dict(self) -> dict[str, Tensor]:

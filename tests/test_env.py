@@ -46,6 +46,9 @@ def test_blind_pushing_collides_and_starts_again(config: RunConfig, game: Game) 
         assert (env.world.step[~is_done] == before.step[~is_done] + 1).all()
         assert len(step.final_observation) == is_done.sum()
         assert (step.final_observation != step.observation[is_done]).flatten(1).any(1).all()
+        told = step.final_info
+        assert torch.equal(told["social_start_distance_m"], before.task.start_distance[is_done, 1])
+        assert torch.equal(told["style_horizon_s"], before.task.style_horizon[is_done, 1])
         ended += is_done
         if ended.sum() == 0:
             continue

@@ -40,7 +40,7 @@ from negopipe.stages import behaviour_map, evaluate, oracle, report
 from negopipe.stages.setup import save_policy
 from negopipe.stages.train import Training
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
-from negopipe.tracking.run_folder import CONFIG_NAME, HISTORY_NAME, METRICS_NAME
+from negopipe.tracking.run_folder import CONFIG_NAME, METRICS_NAME
 
 N_FAST, N_SLOW = 1, 5
 """Overrides per key."""
@@ -274,13 +274,6 @@ def limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (now + LIMIT_BYTES, now + LIMIT_BYTES))
 
 
-class FolderRun(RecordedRun):
-    """The report hands over folders as well."""
-
-    def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
-        assert path.exists()
-
-
 def drive(config: RunConfig, key: str, folder: Path) -> None:
     """An iteration of training with sound numbers; and the stage that the key is of."""
     training = Training(config)
@@ -293,7 +286,7 @@ def drive(config: RunConfig, key: str, folder: Path) -> None:
     stage = DRIVEN.get(STAGE_OF.get(key.partition(".")[0], ""))
     if stage is not None:
         with tempfile.TemporaryDirectory(dir=folder) as name:
-            run = FolderRun(Path(name))
+            run = RecordedRun(Path(name))
             save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, 1)
             if stage is report:
                 provide_for_report(config, training, run)
@@ -302,7 +295,7 @@ def drive(config: RunConfig, key: str, folder: Path) -> None:
 
 def provide_for_report(config: RunConfig, training: Training, run: RecordedRun) -> None:
     """What the stages before it and the store leave in the run folder."""
-    training.curve.write(run.folder / HISTORY_NAME)
+    training.curve.write(run.folder)
     evaluate.run(config, run)  # type: ignore[arg-type]
     (run.folder / METRICS_NAME).write_text(json.dumps(run.sections | {"train": training.curve.summary()}))
     (run.folder / CONFIG_NAME).write_text("seed: 1")

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from negopipe.tracking.metrics_file import merge_into, read
 from negopipe.tracking.run_folder import METRICS_NAME
 
@@ -12,12 +14,16 @@ class RecordedRun:
 
     artifacts: (file name, artifact folder) each
     metrics: what went to the store
+    images: (key, step) each
+    tables: by their names
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.description = folder, ""
         self.artifacts: list[tuple[str, str]] = []
         self.metrics: dict[str, float] = {}
+        self.images: list[tuple[str, int]] = []
+        self.tables: dict[str, pd.DataFrame] = {}
 
     @property
     def sections(self) -> dict[str, Any]:
@@ -25,7 +31,7 @@ class RecordedRun:
         return read(self.folder / METRICS_NAME)
 
     def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
-        assert path.is_file()
+        assert path.exists()
         self.artifacts.append((path.name, artifact_folder))
 
     def log_metrics(self, metrics: dict[str, float], step: int) -> None:
@@ -33,6 +39,13 @@ class RecordedRun:
 
     def log_checkpoint(self, path: Path, step: int, metrics: dict[str, float]) -> None:
         self.log_artifact(path, f"step_{step}")
+
+    def log_image(self, path: Path, key: str, step: int) -> None:
+        assert path.read_bytes().startswith(b"\x89PNG")
+        self.images.append((key, step))
+
+    def log_table(self, name: str, table: pd.DataFrame) -> None:
+        self.tables[name] = table
 
     def sync(self) -> None:
         pass

@@ -11,14 +11,10 @@ import pandas as pd
 from negopipe.evaluation.horizon_text import to_text
 from negopipe.evaluation.statistics import rate
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.simulation.state import AT_REST_MPS, EGO
+from negopipe.simulation.state import AT_REST_MPS, EGO, NEAREST
 
 MOVING_MPS = 0.5
 """Above this speed a vehicle moves; in between it keeps what it was."""
-NEAREST = 1
-"""Column of the social vehicle that starts nearest to the corridor."""
-
-
 SAFETY = ("smallest_gap_m", "smallest_ttc_s", "largest_decel_mps2", "largest_jerk_mps3")
 """Columns of `negopipe.evaluation.safety` whose means are told."""
 

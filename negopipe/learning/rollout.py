@@ -3,7 +3,7 @@
 Axes: T steps of the rollout, E worlds. `*obs` is the shape of one observation.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import torch
@@ -22,6 +22,7 @@ class Transition:
     is_terminated: [E] bool, the episode is over: everyone has arrived, or a collision
     is_truncated: [E] bool, the episode was cut off at the time limit; the state reached has a value
     is_success, is_collision: [E] bool, how the episode ended; only meaningful where it did
+    final_info: name -> [D], what else is known of the episodes that are over; no learner looks at it
     """
 
     observation: Tensor
@@ -31,6 +32,7 @@ class Transition:
     is_truncated: Tensor
     is_success: Tensor
     is_collision: Tensor
+    final_info: dict[str, Tensor] = field(default_factory=dict)
 
 
 class Environment(Protocol):
@@ -61,6 +63,7 @@ class Rollout:
     episode_return: [T, E] float32, undiscounted return of the episode that ended with step t, NaN where none
     episode_steps: [T, E] int64, its decisions, 0 where none
     is_success, is_collision: [T, E] bool, how it ended, false where none
+    final_info: name -> [N], `Transition.final_info` of the N episodes that ended, in the order of `is_done`
     """
 
     observation: Tensor
@@ -76,6 +79,7 @@ class Rollout:
     episode_steps: Tensor
     is_success: Tensor
     is_collision: Tensor
+    final_info: dict[str, Tensor] = field(default_factory=dict)
 
     @property
     def is_done(self) -> Tensor:
@@ -107,6 +111,7 @@ def collect(
     observation = env.observe()
     observations = observation.new_empty(n_steps, *observation.shape)
     steps: list[dict[str, Tensor]] = []
+    infos: list[dict[str, Tensor]] = []
     for t in range(n_steps):
         observations[t] = observation
         logits, value = policy(observation)
@@ -125,10 +130,12 @@ def collect(
                 **ended,
             }
         )
+        infos.append(transition.final_info)
         observation = transition.observation
     last_value = policy(observation)[1]
     stacked = {name: torch.stack([step[name] for step in steps]) for name in steps[0]}
-    return Rollout(observation=observations, **stacked, last_value=last_value), running
+    final_info = {name: torch.cat([info[name] for info in infos]) for name in infos[0]}
+    return Rollout(observation=observations, **stacked, last_value=last_value, final_info=final_info), running
 
 
 def _final_value(policy: ActorCritic, transition: Transition) -> Tensor:

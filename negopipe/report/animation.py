@@ -43,6 +43,8 @@ BLOCK_PX = 4
 """Height of a colour's block in the picture from which the palette is taken: enough pixels to be kept."""
 N_COLORS = 128
 """Colours of the GIF's one palette; edges are smoothed, so there are more shades than colours named here."""
+SLIDE_COLORS = 32
+"""... of one slide's: charts have few."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,14 @@ def still(traces: Sequence[Trace], episode: int, scene: Scene, time_s: float, in
     """One frame of the same picture as PNG; after an episode's end its last state stays."""
     buffer = BytesIO()
     _Film(traces, episode, scene, insight).draw(time_s).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def slides(pngs: Sequence[bytes], seconds: float) -> bytes:
+    """Pictures one after the other as a GIF, each shown for so long."""
+    first, *rest = (Image.open(BytesIO(png)).convert("RGB").quantize(SLIDE_COLORS) for png in pngs)
+    buffer = BytesIO()
+    first.save(buffer, "gif", save_all=True, append_images=rest, duration=round(seconds * 1e3), loop=0)
     return buffer.getvalue()
 
 

@@ -71,6 +71,12 @@ CAPTIONS = {
         """Thin: as logged; thick: running mean. Stages of the curriculum: {stages}. A dashed line begins
         the next one, whose tasks are drawn differently, so a drop there is no setback.""",
     ),
+    "training_outcomes": (
+        "What was mastered when",
+        """Episodes of the training, a tenth of it at a time, by the other driver's style and start distance. Actions
+        are drawn here, so a few crashes are part of it. A timeout is any episode that was not finished within the
+        limit, deadlocks among them. The bars below mark distances that training leaves out.""",
+    ),
 }
 
 WATCH = (

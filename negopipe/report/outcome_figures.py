@@ -3,7 +3,8 @@
 Like those of `negopipe.report.figures`: every function takes data and returns a matplotlib Figure 4.4 inches wide.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -111,20 +112,23 @@ def success_by_style(table: pd.DataFrame) -> Figure:
 
 
 @styled
-def outcome_map(table: pd.DataFrame, unseen_m: Sequence[tuple[float, float]]) -> Figure:
-    """How the policy's episodes end, by the other driver's style (rows) and start distance (columns).
+def outcome_map(
+    episodes: pd.DataFrame, title: str, unseen_m: Sequence[tuple[float, float]], whole: pd.DataFrame | None = None
+) -> Figure:
+    """How episodes end, by the other driver's style (rows) and start distance (columns).
 
-    table: of one setting
+    episodes: of one planner; columns social_start_distance_m, style_horizon_s, outcome
     unseen_m: intervals of start distance, m, that training left out; marked below the columns
+    whole: episodes that the axes are made for, if not for these
     """
-    rows = table[table["planner"] == ADAPTIVE]
-    distance = rows["social_start_distance_m"].to_numpy()
+    whole = episodes if whole is None else whole
+    distance = whole["social_start_distance_m"].to_numpy()
     edges = BIN_M * np.arange(np.floor(distance.min() / BIN_M), np.floor(distance.max() / BIN_M) + 2)
-    styles = np.sort(rows["style_horizon_s"].unique())
+    styles = np.sort(whole["style_horizon_s"].unique())
     figure = Figure((WIDTH_IN, 1.3 + 0.45 * len(styles)), layout="constrained")
     axis = figure.subplots()
     for row, style in enumerate(styles):
-        of_style = rows[rows["style_horizon_s"] == style]
+        of_style = episodes[episodes["style_horizon_s"] == style]
         _outcome_bars(axis, row, of_style, edges)
     for first, last in unseen_m:
         axis.plot(
@@ -134,15 +138,35 @@ def outcome_map(table: pd.DataFrame, unseen_m: Sequence[tuple[float, float]]) ->
     axis.set_yticks(range(len(styles)), [f"{style:g} s" for style in styles])
     axis.set_xlabel("start distance of the social driver [m]")
     axis.set_ylabel("its style [s]")
-    axis.set_title(setting_label(str(rows["setting"].iloc[0])))
+    axis.set_title(title)
     axis.tick_params(axis="y", length=0)
-    handles = [Patch(color=color, label=name) for name, color in OUTCOME_COLORS.items()]
+    shown = [name for name in OUTCOMES if (whole["outcome"] == name).any()]
+    handles = [Patch(color=OUTCOME_COLORS[name], label=name) for name in shown]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
     return figure
 
 
+def training_maps(
+    episodes: pd.DataFrame, unseen_m: Sequence[tuple[float, float]], n_maps: int
+) -> Iterator[tuple[int, Figure]]:
+    """The training in `n_maps` equal parts: decisions taken by the end of each, and how its episodes ended.
+
+    episodes: training_episodes.csv
+    """
+    outcome = np.select([episodes["is_success"] == 1, episodes["is_collision"] == 1], OUTCOMES[:2], default="timeout")
+    episodes = episodes.assign(outcome=outcome)
+    ends = np.linspace(0, episodes["decisions"].max(), n_maps + 1).round().astype(int)
+    for start, end in pairwise(ends.tolist()):
+        part = episodes[episodes["decisions"].between(start, end, inclusive="right")]
+        title = f"training, {start / 1e6:.2f} to {end / 1e6:.2f} million decisions"
+        yield end, outcome_map(part, title, unseen_m, whole=episodes)
+
+
 def _outcome_bars(axis: Axes, row: int, episodes: pd.DataFrame, edges: np.ndarray) -> None:
     """A stacked bar of shares for every column of start distances that has episodes, filled up from below."""
+    axis.axhline(row + 0.38, color=QUIET, linewidth=0.5)
+    if episodes.empty:
+        return
     column = np.searchsorted(edges, episodes["social_start_distance_m"].to_numpy(), side="right") - 1
     share = pd.crosstab(column, episodes["outcome"], normalize="index").reindex(columns=list(OUTCOMES), fill_value=0.0)
     at = edges[share.index.to_numpy(dtype=int)]
@@ -152,4 +176,3 @@ def _outcome_bars(axis: Axes, row: int, episodes: pd.DataFrame, edges: np.ndarra
         color = OUTCOME_COLORS[outcome]  # of the edges, too, or seams show between the columns
         axis.bar(at, -height, width=BIN_M, bottom=base, align="edge", color=color, edgecolor=color, linewidth=0.4)
         base = base - height
-    axis.axhline(row + 0.38, color=QUIET, linewidth=0.5)

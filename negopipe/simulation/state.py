@@ -22,6 +22,9 @@ from torch import Tensor
 EGO = 0
 """Column of the ego on every vehicle axis."""
 
+NEAREST = 1
+"""Column of the social vehicle that starts nearest to its mouth of the corridor."""
+
 AT_REST_MPS = 0.1
 """A vehicle that is slower than this is at rest (Reading: suspend number)."""
 

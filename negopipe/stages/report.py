@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from negopipe.errors import UserError
 from negopipe.evaluation.claims import Claim, judge_claims
-from negopipe.evaluation.metrics import NEAREST
 from negopipe.evaluation.replay import Insight, look_into
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures, outcome_figures
@@ -33,11 +32,12 @@ from negopipe.report.page import (
 )
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
-from negopipe.simulation.state import EGO, map_tensors
+from negopipe.simulation.state import EGO, NEAREST, map_tensors
 from negopipe.stages import report_runs
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
 from negopipe.stages.provenance import provenance
 from negopipe.stages.setup import build, load_policy
+from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -48,6 +48,10 @@ log = logging.getLogger("negopipe")
 
 RESULTS = ("evaluation", "versus_adaptive")
 """Parts of metrics.json that the page shows."""
+N_TRAINING_MAPS, SLIDE_S = 10, 0.8
+"""Parts that the training is shown in, and how long each is on screen."""
+N_TABLED = 100
+"""Episodes of each planner and setting in the store's table, which is for looking through; episodes.csv has all."""
 
 
 class _Gallery:
@@ -98,7 +102,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
         _negotiations(drawings, traces, road.corridor_sigma_m),
         _animations(config.report, films, traces, make_scene(config.scenario, road), insights),
         _behaviour(drawings, traces),
-        _training(drawings, run.folder / "history.csv"),
+        _training(drawings, films, run, sorted({gap for gaps in _unseen(config).values() for gap in gaps})),
     ]
     verdicts = headlines(results.evaluation, results.versus)
     title = f"{config.name}, seed {config.seed}"
@@ -109,6 +113,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
         if any(gallery.folder.iterdir()):
             run.log_artifact(gallery.folder, gallery.folder.name)
     run.log_artifact(run.folder / "report.html")
+    _log_tables(run, metrics, table)
     run.set_description("\n\n".join(" ".join(lines) for lines in verdicts))
     log.info("report: %s", run.folder / "report.html")
 
@@ -148,8 +153,9 @@ def _planners(gallery: _Gallery, table: pd.DataFrame, unseen: Mapping[str, Seque
         drawing = outcome_figures.success_by_style(table[has_styles])
         exhibits.append(gallery.figure("success_by_style", drawing, *caption("success_by_style")))
     for setting, rows in table[has_styles].groupby("setting", sort=False):
-        drawing = outcome_figures.outcome_map(rows, unseen.get(str(setting), ()))
-        title, reading = caption("outcome_map", setting=setting_label(str(setting)))
+        label, own = setting_label(str(setting)), rows[rows["planner"] == ADAPTIVE]
+        drawing = outcome_figures.outcome_map(own, label, unseen.get(str(setting), ()))
+        title, reading = caption("outcome_map", setting=label)
         exhibits.append(gallery.figure(f"outcome_map_{setting}", drawing, title, reading))
     return Section("Planners compared", "", exhibits)
 
@@ -263,12 +269,28 @@ def _behaviour(gallery: _Gallery, traces: dict[str, list[Trace]]) -> Section:
     return Section("Behaviour", "", [psi, chosen])
 
 
-def _training(gallery: _Gallery, history: Path) -> Section:
-    if not history.is_file():
+def _training(
+    drawings: _Gallery, films: _Gallery, run: "TrackedRun", unseen_m: Sequence[tuple[float, float]]
+) -> Section:
+    """The store is given the maps, too, each at the step that it was reached at."""
+    if not (run.folder / HISTORY_NAME).is_file():
         return Section("Training", NOT_TRAINED, [])
-    table = _read_csv(history, "train")
+    table = _read_csv(run.folder / HISTORY_NAME, "train")
     title, reading = caption("training", stages=", ".join(table["stage"].unique()))
-    return Section("Training", "", [gallery.figure("training", figures.training(table), title, reading)])
+    curves = drawings.figure("training", figures.training(table), title, reading)
+    episodes = _read_csv(run.folder / TRAINING_EPISODES_NAME, "train")
+    if episodes.empty:
+        return Section("Training", "", [curves])
+    maps, folder = [], drawings.folder / "training_outcomes"
+    folder.mkdir()
+    for decisions, drawing in outcome_figures.training_maps(episodes, unseen_m, N_TRAINING_MAPS):
+        maps.append(figures.render(drawing, "png"))
+        path = folder / f"{decisions}.png"
+        path.write_bytes(maps[-1])
+        run.log_image(path, "training outcomes", decisions)
+    film = animation.slides(maps, SLIDE_S)
+    mastered = films.animation("training_outcomes", film, maps[-1], *caption("training_outcomes"))
+    return Section("Training", "", [curves, mastered])
 
 
 def _read_metrics(folder: Path) -> dict[str, Any]:
@@ -289,6 +311,18 @@ def _write_claims(run: "TrackedRun", claims: Sequence[Claim]) -> None:
     text = json.dumps([claim.as_dict() for claim in claims], indent=2, ensure_ascii=False, allow_nan=False)
     write_whole(path, f"{text}\n".encode())
     run.log_artifact(path)
+
+
+def _log_tables(run: "TrackedRun", metrics: Mapping[str, Any], episodes: pd.DataFrame) -> None:
+    """What the dashboard shows as tables, of one run or of several side by side."""
+    measures = [
+        {"setting": setting, "planner": planner} | values
+        for setting, planners in metrics["evaluation"].items()
+        for planner, values in planners.items()
+    ]
+    run.log_table("planners", pd.DataFrame(measures))
+    first = episodes[episodes["episode"] < N_TABLED]
+    run.log_table("episodes", first.drop(columns=["horizons"], errors="ignore"))
 
 
 def _read_csv(path: Path, stage: str) -> pd.DataFrame:

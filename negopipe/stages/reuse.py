@@ -10,14 +10,14 @@ import pandas as pd
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 from negopipe.tracking.metrics_file import read
 from negopipe.tracking.record import RECORD_NAME, read_record
-from negopipe.tracking.run_folder import HISTORY_NAME, METRICS_NAME
+from negopipe.tracking.run_folder import HISTORY_NAME, METRICS_NAME, TRAINING_EPISODES_NAME
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
     from negopipe.tracking.store import TrackedRun
 
-PRODUCTS = (CHECKPOINT_NAME, HISTORY_NAME)
+PRODUCTS = (CHECKPOINT_NAME, HISTORY_NAME, TRAINING_EPISODES_NAME)
 """Files that a finished training leaves, beside its part of metrics.json."""
 
 log = logging.getLogger("negopipe")

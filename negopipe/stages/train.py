@@ -3,30 +3,25 @@
 import logging
 import math
 import time
-from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
-import pandas as pd
-import torch
 from torch import Tensor, nn
 
 from negopipe.env import NegotiationEnv
 from negopipe.errors import UserError
 from negopipe.learning.curriculum import Curriculum
 from negopipe.learning.learner import Learner
-from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
+from negopipe.learning.rollout import RunningEpisodes, collect
 from negopipe.nested import put_under, take_from
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import named_tensors, with_tensors
 from negopipe.stages.interruption import AskedToStop
+from negopipe.stages.learning_curve import MEANS_OF_EPISODES, LearningCurve
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, device_of, load_policy, save_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
-from negopipe.tracking.run_folder import HISTORY_NAME, SNAPSHOTS_NAME
+from negopipe.tracking.run_folder import HISTORY_NAME, SNAPSHOTS_NAME, TRAINING_EPISODES_NAME
 from negopipe.tracking.snapshots import Snapshots
 
 if TYPE_CHECKING:
@@ -35,16 +30,11 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
-N_RECENT_EPISODES = 200
-"""Episodes that the success rate and mean return of the learning curves are taken over."""
-
-MEANS_OF_EPISODES = ("success_rate", "collision_rate", "return_mean")
-"""Of a row of the learning curve: NaN until an episode has ended."""
-
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
-    """Train a policy; writes checkpoint.safetensors, history.csv and the `train` part of metrics.json.
+    """Train a policy.
 
+    Writes checkpoint.safetensors, history.csv, training_episodes.csv and the `train` part of metrics.json.
     A run that was stopped goes on from its newest snapshot, and ends as if it had never been stopped.
     """
     training = Training(config)
@@ -130,6 +120,7 @@ class Training:
             | put_under("learner", self.learner.state_dict())
             | put_under("env", self.env.state_dict())
             | put_under("running", named_tensors(self.running))
+            | put_under("episodes", self.curve.episodes)
             | {"actions": self.actions.get_state()}
         )
         progress = {"curve": self.curve.state_dict(), "curriculum": self.curriculum.state_dict()}
@@ -146,7 +137,7 @@ class Training:
         self.env.load_state_dict(take_from("env", state))
         self.running = with_tensors(self.running, take_from("running", state))
         self.actions.set_state(state["actions"])
-        self.curve.load_state_dict(progress["curve"])
+        self.curve.load_state_dict(progress["curve"], take_from("episodes", state))
         self.curriculum.load_state_dict(progress["curriculum"])
         log.info(f"train      goes on after {self.n_done} of {self.n_total} iterations")
 
@@ -155,92 +146,13 @@ def _copy(policy: nn.Module) -> dict[str, Tensor]:
     return {name: weight.clone() for name, weight in policy.state_dict().items()}
 
 
-class LearningCurve:
-    """The training's history: a row per iteration, over the latest episodes."""
-
-    def __init__(self, n_decisions_per_iteration: int) -> None:
-        self.rows: list[dict] = []
-        self.n_per_iteration = n_decisions_per_iteration
-        self._recent: deque[tuple[float, ...]] = deque(maxlen=N_RECENT_EPISODES)
-        self._started_s = self._last_s = time.monotonic()
-        self._tracking_s = 0.0
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def add(self, stage: str, rollout: Rollout, metrics: dict[str, float]) -> dict:
-        """Append an iteration; returns its row. Means over episodes are NaN until one has ended."""
-        ended = (rollout.episode_return, rollout.is_success, rollout.is_collision)
-        self._recent.extend(zip(*(field[rollout.is_done].tolist() for field in ended), strict=True))
-        returns, successes, collisions = torch.tensor(list(self._recent)).reshape(-1, 3).mean(0).tolist()
-        now_s = time.monotonic()
-        row = {
-            "decisions": (len(self.rows) + 1) * self.n_per_iteration,
-            "stage": stage,
-            "success_rate": successes,
-            "collision_rate": collisions,
-            "return_mean": returns,
-            **metrics,
-            "decisions_per_s": self.n_per_iteration / (now_s - self._last_s),
-            "wall_s": now_s - self._started_s,
-        }
-        self._last_s = now_s
-        self.rows.append(row)
-        return row
-
-    def state_dict(self) -> dict[str, Any]:
-        """All of it, as JSON can say it."""
-        return {"rows": self.rows, "recent": list(self._recent), **self._times()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where `state_dict` was taken; the time between does not count."""
-        self.rows = state["rows"]
-        self._recent.extend(tuple(episode) for episode in state["recent"])
-        self._last_s = time.monotonic()
-        self._started_s = self._last_s - state["wall_s"]
-        self._tracking_s = state["tracking_s"]
-
-    @contextmanager
-    def tracking(self) -> Iterator[None]:
-        """What is done meanwhile is not training but keeping a record of it."""
-        started_s = time.monotonic()
-        yield
-        self._tracking_s += time.monotonic() - started_s
-
-    def scalars(self, row: dict) -> dict[str, float]:
-        """The row's numbers under their names in the dashboard."""
-        return {f"train/{k}": v for k, v in row.items() if isinstance(v, float) and v == v}
-
-    def text(self, row: dict) -> str:
-        """How it goes, for the progress line."""
-        went = "no episode over yet"
-        if self._recent:
-            went = f"success {row['success_rate']:4.0%} return {row['return_mean']:5.1f}"
-        return f"{row['stage']} {went} {row['decisions_per_s']:5.0f} decisions/s"
-
-    def summary(self) -> dict[str, float]:
-        """The `train` part of metrics.json; tracking_share is that of the time, store and snapshots together."""
-        decisions, times = self.rows[-1]["decisions"], self._times()
-        return {
-            "decisions": decisions,
-            "wall_s": times["wall_s"],
-            "decisions_per_s": decisions / times["wall_s"],
-            "tracking_share": times["tracking_s"] / times["wall_s"],
-        }
-
-    def _times(self) -> dict[str, float]:
-        return {"wall_s": time.monotonic() - self._started_s, "tracking_s": self._tracking_s}
-
-    def write(self, path: Path) -> None:
-        pd.DataFrame(self.rows).to_csv(path, index=False)
-
-
 def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> None:
     """Keep what a finished stage has reached."""
     curve = training.curve
     row = curve.rows[-1]
-    curve.write(run.folder / HISTORY_NAME)
-    run.log_artifact(run.folder / HISTORY_NAME)
+    curve.write(run.folder)
+    for name in (HISTORY_NAME, TRAINING_EPISODES_NAME):
+        run.log_artifact(run.folder / name)
     save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, row["decisions"])
     run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row))
 

@@ -1,7 +1,8 @@
 """From a run's journal to a store: complete, in order and nothing twice, however often it is broken off.
 
 What is sent again after a crash does no harm: the store takes a metric of the same time, step and value, a tag or a
-file for the one it has. A run and its checkpoints, which it would make twice, are looked for first.
+file for the one it has. A run, its checkpoints and its images, which it would make twice, are
+looked for first.
 """
 
 import json
@@ -11,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from PIL import Image
 from pydantic import TypeAdapter
 
 from negopipe.tracking.database import artifact_location, is_served
@@ -99,6 +101,10 @@ class Delivery:
                     client.set_tag(self._run_id, key, value)
             case "artifact":
                 self._send_artifact(client, self.folder / first["path"], first["folder"])
+            case "image":
+                self._send_image(client, first)
+            case "table":
+                self._send_table(client, self.folder / first["path"], first["folder"])
             case "checkpoint":
                 self._send_checkpoint(client, first)
             case "end":
@@ -167,19 +173,36 @@ class Delivery:
             client.log_batch(self._run_id, params=params[start : start + _PARAMS_PER_CALL])
 
     def _send_artifact(self, client: "MlflowClient", path: Path, folder: str) -> None:
-        if not path.exists():
-            log.warning(f"store      is not given {path}, which is no longer there")
+        if not _is_there(path):
             return
         send = client.log_artifacts if path.is_dir() else client.log_artifact
         send(self._run_id, str(path), folder or None)
+
+    def _send_image(self, client: "MlflowClient", entry: Mapping[str, Any]) -> None:
+        path, step, time_ms = self.folder / entry["path"], entry["step"], entry["time_ms"]
+        sent = [file.path for file in client.list_artifacts(self._run_id, "images")]
+        if any(f"+step+{step}+timestamp+{time_ms}+" in name for name in sent) or not _is_there(path):
+            return
+        with Image.open(path) as image:
+            picture = image.convert("RGB")
+        client.log_image(self._run_id, picture, key=entry["key"], step=step, timestamp=time_ms, synchronous=True)
+
+    def _send_table(self, client: "MlflowClient", path: Path, folder: str) -> None:
+        """An artifact that a tag marks as a table: `log_table` would add to the rows which are there already."""
+        from mlflow.utils.mlflow_tags import MLFLOW_LOGGED_ARTIFACTS
+
+        self._send_artifact(client, path, folder)
+        marked = json.loads(client.get_run(self._run_id).data.tags.get(MLFLOW_LOGGED_ARTIFACTS, "[]"))
+        mark = {"path": f"{folder}/{path.name}", "type": "table"}
+        if mark not in marked:
+            client.set_tag(self._run_id, MLFLOW_LOGGED_ARTIFACTS, json.dumps([*marked, mark]))
 
     def _send_checkpoint(self, client: "MlflowClient", entry: Mapping[str, Any]) -> None:
         """A checkpoint is a model of the run and, if it has a name there, a version in the registry."""
         from mlflow.entities import LoggedModelOutput
 
         path, step = self.folder / entry["path"], entry["step"]
-        if not path.exists():
-            log.warning(f"store      is not given {path}, which is no longer there")
+        if not _is_there(path):
             return
         if self._has_checkpoint(client, step):
             return
@@ -212,6 +235,13 @@ class Delivery:
         stores = {**_read(self.folder), self.uri or _OWN_STORE: self.done}
         content = {store: asdict(done) for store, done in stores.items()}
         write_whole(self.folder / DELIVERED_NAME, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def _is_there(path: Path) -> bool:
+    """A warning where it is not: somebody has tidied up."""
+    if not path.exists():
+        log.warning(f"store      is not given {path}, which is no longer there")
+    return path.exists()
 
 
 def _read(folder: Path) -> dict[str, Delivered]:

@@ -16,10 +16,13 @@ log = logging.getLogger("negopipe")
 
 METRICS_NAME = "metrics.json"
 HISTORY_NAME = "history.csv"
+TRAINING_EPISODES_NAME = "training_episodes.csv"
 SNAPSHOTS_NAME = "snapshots"
 """Folder of a run in which an unfinished training is kept."""
 CHECKPOINTS_NAME = "checkpoints"
 """... and that of the checkpoints which the store is given, a folder per step."""
+TABLES_NAME = "tables"
+"""... and that of the tables which it shows."""
 CONFIG_NAME = "config.yaml"
 LOCK_NAME = ".lock"
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import pandas as pd
 import yaml
 
 from negopipe.errors import UserError
@@ -25,7 +26,7 @@ from negopipe.tracking.journal import Journal
 from negopipe.tracking.metrics_file import merge_into
 from negopipe.tracking.names import cleaned, flatten
 from negopipe.tracking.record import RunRecord, read_record, write_record
-from negopipe.tracking.run_folder import CHECKPOINTS_NAME, CONFIG_NAME, METRICS_NAME, hold, keep, set_aside
+from negopipe.tracking.run_folder import CHECKPOINTS_NAME, CONFIG_NAME, METRICS_NAME, TABLES_NAME, hold, keep, set_aside
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -193,6 +194,19 @@ class TrackedRun:
     def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
         """Give the store a copy of a file, or of a folder with all in it."""
         self._tell("artifact", path=os.path.relpath(path, self.folder), folder=artifact_folder)
+        self.deliver()
+
+    def log_image(self, path: Path, key: str, step: int) -> None:
+        """Show a picture of the run folder among the charts; those of one key become one, with a slider of steps."""
+        self._tell("image", path=os.path.relpath(path, self.folder), key=key, step=step)
+        self.deliver()
+
+    def log_table(self, name: str, table: pd.DataFrame) -> None:
+        """Show a table, and compare it with the tables of other runs that have the same name."""
+        path = self.folder / TABLES_NAME / f"{name}.json"
+        path.parent.mkdir(exist_ok=True)
+        write_whole(path, table.to_json(orient="split", index=False).encode())
+        self._tell("table", path=os.path.relpath(path, self.folder), folder=TABLES_NAME)
         self.deliver()
 
     def log_checkpoint(self, path: Path, step: int, metrics: Mapping[str, float]) -> None:

@@ -37,6 +37,7 @@ class Counter:
             is_truncated=is_truncated,
             is_success=is_terminated,
             is_collision=torch.zeros(2, dtype=torch.bool),
+            final_info={"n_steps": reached[is_terminated | is_truncated]},
         )
 
 
@@ -59,6 +60,7 @@ def test_rollout_stores_states_values_and_ends() -> None:
     torch.testing.assert_close(rollout.final_value[[1, 3], 1], final.expand(2))
     assert rollout.final_value[:, 0].eq(0).all()
     assert rollout.final_value[[0, 2], 1].eq(0).all()
+    assert torch.equal(rollout.final_info["n_steps"], rollout.episode_steps[rollout.is_done].float())
 
 
 def test_episodes_go_on_across_rollouts() -> None:
@@ -77,6 +79,7 @@ def test_episodes_go_on_across_rollouts() -> None:
     assert second.episode_return[0, 0] == 3.0
     assert second.episode_steps[0].tolist() == [3, 0]
     assert episode_statistics(second)["success_rate"] == 1.0
+    assert second.final_info["n_steps"].tolist() == [3.0]
     third, _ = collect(Counter(), network, 1, generator, RunningEpisodes.start(2, CPU))
     assert episode_statistics(third) == {"n_episodes": 0.0}
 

@@ -137,6 +137,24 @@ def make_history(n_rows: int = 300, seed: int = 0) -> pd.DataFrame:
     )
 
 
+def make_training_episodes(n_rows: int = 2000, decisions: int = 40 * 4096, seed: int = 0) -> pd.DataFrame:
+    """A made-up training that first learns to wait for those who push."""
+    rng = np.random.default_rng(seed)
+    done = np.sort(rng.random(n_rows))
+    style = rng.choice([2.0, 6.0], n_rows)
+    is_success = rng.random(n_rows) < np.where(style == 2, 3 * done, 0.2 + done)
+    return pd.DataFrame(
+        {
+            "decisions": np.ceil(done * decisions).astype(int),
+            "return": np.where(is_success, -7.0, -20.0),
+            "is_success": is_success.astype(int),
+            "is_collision": (~is_success & (rng.random(n_rows) < 0.5)).astype(int),
+            "social_start_distance_m": np.where(style == 2, 12.0, 16.4) + 2 * rng.random(n_rows),
+            "style_horizon_s": style,
+        }
+    )
+
+
 def make_traces(n_episodes: int) -> list[Trace]:
     return [make_trace(planner, family, n_episodes, 7) for family in STYLE_S for planner in PLANNERS]
 
@@ -156,6 +174,11 @@ def table(traces: list[Trace]) -> pd.DataFrame:
 @pytest.fixture(scope="session")
 def history() -> pd.DataFrame:
     return make_history(40)
+
+
+@pytest.fixture(scope="session")
+def driven() -> pd.DataFrame:
+    return make_training_episodes()
 
 
 @pytest.fixture(scope="session")

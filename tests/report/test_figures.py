@@ -21,7 +21,7 @@ DRAWINGS: dict[str, Draw] = {
     "outcomes": lambda traces, table, history: outcome_figures.outcomes(table),
     "success_by_style": lambda traces, table, history: outcome_figures.success_by_style(table),
     "arrivals": lambda traces, table, history: outcome_figures.arrivals(table),
-    "outcome_map": lambda traces, table, history: outcome_figures.outcome_map(table, [(12.2, 12.6)]),
+    "outcome_map": lambda traces, table, history: outcome_figures.outcome_map(table, "Yield", [(12.2, 12.6)]),
     "behaviour": lambda traces, table, history: figures.behaviour(traces),
     "horizons": lambda traces, table, history: figures.horizons(traces),
     "space_time": lambda traces, table, history: figures.space_time(traces[:5], 0, (-6.0, 6.0)),
@@ -106,16 +106,33 @@ def test_arrival_curves_are_the_shares_by_time(table: pd.DataFrame) -> None:
 
 
 def test_outcome_map_fills_each_column_with_its_outcomes(table: pd.DataFrame) -> None:
-    one = table[table["setting"] == "yield"].assign(style_horizon_s=2.0)
-    figure = outcome_figures.outcome_map(one, [])
+    one = table[(table["setting"] == "yield") & (table["planner"] == "adaptive")].assign(style_horizon_s=2.0)
+    figure = outcome_figures.outcome_map(one, "Yield", [])
     bars = [patch for patch in figure.axes[0].patches if patch.get_height() != 0]
     by_column: dict[float, float] = {}
     for bar in bars:
         by_column[round(bar.get_x(), 3)] = by_column.get(round(bar.get_x(), 3), 0.0) - bar.get_height()
     assert by_column
     assert list(by_column.values()) == pytest.approx([0.76] * len(by_column))
-    distance = one.loc[one["planner"] == "adaptive", "social_start_distance_m"]
+    distance = one["social_start_distance_m"]
     assert all(((distance >= x) & (distance <= x + outcome_figures.BIN_M + 1e-6)).any() for x in by_column)
+
+
+def test_training_maps_show_each_part_on_the_same_axes(driven: pd.DataFrame) -> None:
+    ends, maps = zip(*outcome_figures.training_maps(driven, [], 4), strict=True)
+    assert ends[-1] == driven["decisions"].max()
+    assert len({figure.axes[0].get_xlim() for figure in maps}) == 1
+    first = driven[driven["decisions"] <= ends[0]]
+    heights: dict[str, float] = {}
+    for bar in maps[0].axes[0].patches:
+        color = to_hex(bar.get_facecolor()).upper()
+        heights[color] = heights.get(color, 0.0) - bar.get_height()
+    crashes = figures.OUTCOME_COLORS["collision"]
+    column = np.floor(first["social_start_distance_m"] / outcome_figures.BIN_M).astype(int)
+    shares = first.groupby(["style_horizon_s", column])["is_collision"].mean()
+    assert heights[crashes] == pytest.approx(0.76 * shares.sum())
+    one_style = driven[(driven["style_horizon_s"] == 2) | (driven["decisions"] > ends[0])]
+    assert next(outcome_figures.training_maps(one_style, [], 4))[1].axes  # nothing of a style in a part
 
 
 def test_behaviour_draws_the_median_index_in_degrees(traces: list[Trace]) -> None:

@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 import yaml
 from pydantic import TypeAdapter
+from tracked import RecordedRun
 
 from negopipe.errors import UserError
 from negopipe.evaluation.comparison import versus_adaptive
@@ -48,19 +49,6 @@ class Config:
         self.report = ReportConfig(**(quick | changed))
 
 
-class Run:
-    """Stands for the tracked run and remembers what it was given."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.artifacts, self.description = folder, [], ""
-
-    def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
-        self.artifacts.append((path.name, artifact_folder))
-
-    def set_description(self, markdown: str) -> None:
-        self.description = markdown
-
-
 PLANNERS = ["adaptive", "fixed_0", "fixed_6"]
 
 
@@ -70,14 +58,17 @@ def table(table: pd.DataFrame) -> pd.DataFrame:
 
 
 @pytest.fixture
-def run(tmp_path: Path, traces: list[Trace], table: pd.DataFrame, history: pd.DataFrame) -> Run:
+def run(
+    tmp_path: Path, traces: list[Trace], table: pd.DataFrame, history: pd.DataFrame, driven: pd.DataFrame
+) -> RecordedRun:
     save_traces(tmp_path / "traces.npz", [trace for trace in traces if trace.planner in PLANNERS])
     table.to_csv(tmp_path / "episodes.csv", index=False)
     history.to_csv(tmp_path / "history.csv", index=False)
+    driven.to_csv(tmp_path / "training_episodes.csv", index=False)
     measured = summary(table) | versus_adaptive(table)
     (tmp_path / "metrics.json").write_text(json.dumps(measured, sort_keys=True))
     (tmp_path / "config.yaml").write_text("name: push\nseed: 3\n")
-    return Run(tmp_path)
+    return RecordedRun(tmp_path)
 
 
 def seen(traces: dict[str, list[Trace]]) -> dict[str, dict[int, Insight]]:
@@ -90,7 +81,9 @@ def seen(traces: dict[str, list[Trace]]) -> dict[str, dict[int, Insight]]:
     return found
 
 
-def test_everything_is_written_and_logged(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_everything_is_written_and_logged(
+    run: RecordedRun, driven: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(report, "look_into_policy", lambda config, run, traces: seen(traces))
     report.run(Config(n_animations=1, side_by_side=("fixed_0", "fixed_6")), run)
     page = (run.folder / "report.html").read_text()
@@ -100,13 +93,19 @@ def test_everything_is_written_and_logged(run: Run, monkeypatch: pytest.MonkeyPa
     assert "name: push" in page
     images = re.findall(r'<img src="(data:image/[a-z+]+);', page)
     assert images.count("data:image/svg+xml") == 8
-    assert images.count("data:image/gif") == 6  # in each setting a typical one, the worst, and one side by side
+    # in each setting a typical one, the worst, and one side by side; and what the training mastered when
+    assert images.count("data:image/gif") == 7
     assert run.artifacts == [
         ("claims.json", ""),
         ("figures", "figures"),
         ("animations", "animations"),
         ("report.html", ""),
     ]
+    keys, steps = zip(*run.images, strict=True)
+    assert set(keys) == {"training outcomes"}
+    assert list(steps) == [round(i * driven["decisions"].max() / 10) for i in range(1, 11)]
+    assert len(run.tables["planners"]) == 2 * len(PLANNERS)
+    assert set(run.tables["episodes"]["planner"]) == set(PLANNERS)
     claims = json.loads((run.folder / "claims.json").read_text())
     assert [claim["number"] for claim in claims] == list(range(1, 11))
     assert all(claim["words"].replace('"', "&#34;") in page for claim in claims)
@@ -115,10 +114,12 @@ def test_everything_is_written_and_logged(run: Run, monkeypatch: pytest.MonkeyPa
     over_all, push, *_ = run.description.split("\n\n")
     assert over_all.startswith("Over all settings the adaptive planner")
     assert push.startswith("Push: the adaptive planner")
-    assert len(list((run.folder / "animations").glob("*.gif"))) == 6
+    assert len(list((run.folder / "animations").glob("*.gif"))) == 7
 
 
-def test_a_planner_may_have_driven_the_first_tasks_only(run: Run, traces: list[Trace], table: pd.DataFrame) -> None:
+def test_a_planner_may_have_driven_the_first_tasks_only(
+    run: RecordedRun, traces: list[Trace], table: pd.DataFrame
+) -> None:
     few = [trace.first(3) if trace.planner == "fixed_6" else trace for trace in traces if trace.planner in PLANNERS]
     save_traces(run.folder / "traces.npz", few)
     is_driven = (table["planner"] != "fixed_6") | (table["episode"] < 3)
@@ -156,7 +157,7 @@ def in_browser(page: Path, width_px: int) -> tuple[dict[str, int], str]:
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
-def test_a_browser_shows_it_all_without_errors_or_scrolling_sideways(run: Run) -> None:
+def test_a_browser_shows_it_all_without_errors_or_scrolling_sideways(run: RecordedRun) -> None:
     report.run(Config(animation_fps=1, side_by_side=("fixed_0",)), run)
     for width_px in (360, 1280):
         measured, log = in_browser(run.folder / "report.html", width_px)
@@ -166,16 +167,16 @@ def test_a_browser_shows_it_all_without_errors_or_scrolling_sideways(run: Run) -
         assert "CONSOLE" not in log
 
 
-def test_options_act(run: Run) -> None:
+def test_options_act(run: RecordedRun) -> None:
     report.run(Config(figure_formats=("svg",)), run)
-    assert {path.suffix for path in (run.folder / "figures").iterdir()} == {".svg"}
+    assert {path.suffix for path in (run.folder / "figures").glob("*.*")} == {".svg"}
     page = (run.folder / "report.html").read_text()
-    assert "data:image/gif" not in page
+    assert page.count("data:image/gif") == 1  # of the training, no episode
     assert "Learning curves" in page
     assert "Success against every style" not in page  # each setting has one style
 
 
-def test_what_is_shown_depends_on_what_there_is(run: Run, table: pd.DataFrame) -> None:
+def test_what_is_shown_depends_on_what_there_is(run: RecordedRun, table: pd.DataFrame) -> None:
     varied = table.assign(style_horizon_s=table["episode"].mod(2) * 6.0)
     varied.to_csv(run.folder / "episodes.csv", index=False)
     (run.folder / "history.csv").unlink()
@@ -187,18 +188,18 @@ def test_what_is_shown_depends_on_what_there_is(run: Run, table: pd.DataFrame) -
 
 
 @pytest.mark.parametrize("name", ["metrics.json", "episodes.csv", "traces.npz"])
-def test_a_missing_file_names_the_stage_to_run(run: Run, name: str) -> None:
+def test_a_missing_file_names_the_stage_to_run(run: RecordedRun, name: str) -> None:
     (run.folder / name).unlink()
     with pytest.raises(UserError, match=rf"{name}: .*`evaluate`"):
         report.run(Config(), run)
 
 
-def test_a_planner_that_was_not_evaluated_is_named(run: Run) -> None:
+def test_a_planner_that_was_not_evaluated_is_named(run: RecordedRun) -> None:
     with pytest.raises(UserError, match=r"planner fixed_3, but traces\.npz holds only: adaptive, fixed_0, fixed_6"):
         report.run(Config(side_by_side=("fixed_3",)), run)
 
 
-def test_planners_must_have_driven_the_same_tasks(run: Run) -> None:
+def test_planners_must_have_driven_the_same_tasks(run: RecordedRun) -> None:
     first, second, *others = load_traces(run.folder / "traces.npz")
     moved = replace(second, start_distance_m=second.start_distance_m + 1)
     save_traces(run.folder / "traces.npz", [first, moved, *others])
@@ -206,7 +207,7 @@ def test_planners_must_have_driven_the_same_tasks(run: Run) -> None:
         report.run(Config(), run)
 
 
-def test_the_scene_is_the_road(run: Run) -> None:
+def test_the_scene_is_the_road(run: RecordedRun) -> None:
     config = Config().scenario
     scene = report.make_scene(config, Road(config.road))
     sigma, x, y, heading = scene.line_m.T

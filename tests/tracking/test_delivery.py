@@ -1,5 +1,6 @@
 """What a run logs reaches the store complete, in order and once, whatever goes away meanwhile."""
 
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -10,9 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 from mlflow import MlflowClient
 from mlflow.exceptions import MlflowException
+from PIL import Image
 
 from negopipe.errors import UserError
 from negopipe.tracking import store
@@ -21,8 +24,13 @@ from negopipe.tracking.deliver import deliver
 from negopipe.tracking.store import StoreConfig, TrackedRun, open_run
 from negopipe.tracking.whole_file import write_whole
 
-SENDING = ("create_run", "log_batch", "set_tag", "log_artifact", "create_logged_model", "log_outputs", "set_terminated")
+SENDING = (
+    *("create_run", "log_batch", "set_tag", "log_artifact", "log_image"),
+    *("create_logged_model", "log_outputs", "set_terminated"),
+)
 """Calls in the middle of which a store may go away."""
+TAGS = ("colour", "mlflow.note.content", "run_key", "mlflow.loggedArtifacts", "mlflow.loggedImages")
+UUID = r"[0-9a-f]{8}-[0-9a-f-]{27}"
 
 
 class Outage:
@@ -66,7 +74,11 @@ def work(run: TrackedRun, n_steps: int = 6) -> None:
         if step % 3 == 2:
             write_whole(run.folder / "checkpoint.safetensors", f"weights {step}".encode())
             run.log_checkpoint(run.folder / "checkpoint.safetensors", step, {"loss": step / 2})
+            picture = run.folder / f"{step}.png"
+            Image.new("RGB", (4, 4), (step, 0, 0)).save(picture)
+            run.log_image(picture, "pictures", step)
     run.set_tags({"colour": "red"})
+    run.log_table("rows", pd.DataFrame({"a": [1, 2]}))
     run.set_description("# Done")
     run.update_metrics_json({"loss": 1.0})
 
@@ -82,8 +94,9 @@ def told(database: Path, name: str) -> Iterator[Any]:
     run = client.get_run(run_id)
     yield run.info.status
     yield run.data.params
-    yield {key: run.data.tags[key] for key in ("colour", "mlflow.note.content", "run_key")}
-    yield sorted(file.path for file in client.list_artifacts(run_id))
+    yield {key: run.data.tags[key] for key in TAGS}
+    folders = ("", "tables", "images")
+    yield sorted(re.sub(UUID, "", file.path) for each in folders for file in client.list_artifacts(run_id, each))
     models = [(output.step, client.get_logged_model(output.model_id)) for output in run.outputs.model_outputs]
     for step, model in sorted(models, key=lambda each: each[0]):
         place = Path(model.artifact_location.removeprefix("file://")) / "checkpoint.safetensors"
@@ -96,6 +109,11 @@ def all_told(config: StoreConfig, run: TrackedRun) -> list[Any]:
     assert found[0] == [
         (key, step, value) for step in range(6) for key, value in (("loss", step / 2), ("train/return", -step))
     ]
+    images = [path for path in found[4] if path.startswith("images/")]
+    assert [re.sub(r"timestamp.\d+", "", path) for path in images] == [
+        f"images/pictures+step+{step}++{kind}" for step in (2, 5) for kind in ("+compressed.webp", ".png")
+    ]
+    assert "tables/rows.json" in found[4]
     assert [each[:3] for each in found[5:]] == [(step, "READY", f"weights {step}") for step in (2, 5)]
     return found
 

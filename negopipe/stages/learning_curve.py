@@ -1,0 +1,119 @@
+"""The training's record: a row per iteration, a row per episode."""
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+from torch import Tensor
+
+from negopipe.learning.rollout import Rollout
+from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
+
+N_RECENT_EPISODES = 200
+"""Episodes that the success rate and mean return of the learning curves are taken over."""
+
+MEANS_OF_EPISODES = {"success_rate": "is_success", "collision_rate": "is_collision", "return_mean": "return"}
+"""Of a row of the learning curve: NaN until an episode has ended; the episodes' column that each is the mean of."""
+
+
+class LearningCurve:
+    """The training's history.
+
+    rows: one per iteration; success_rate, collision_rate and return_mean are of the latest episodes
+    episodes: name -> [N] float64 on the CPU, of all episodes so far: `decisions` of the training until the end of the
+        iteration in which the episode ended, its undiscounted return, 1 or 0 for is_success and is_collision, and
+        what the environment tells of it (`Rollout.final_info`)
+    """
+
+    def __init__(self, n_decisions_per_iteration: int) -> None:
+        self.rows: list[dict] = []
+        self.n_per_iteration = n_decisions_per_iteration
+        self.episodes: dict[str, Tensor] = {}
+        self._started_s = self._last_s = time.monotonic()
+        self._tracking_s = 0.0
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def add(self, stage: str, rollout: Rollout, metrics: dict[str, float]) -> dict:
+        """Append an iteration; returns its row. Means over episodes are NaN until one has ended."""
+        decisions = (len(self.rows) + 1) * self.n_per_iteration
+        self._count_episodes(decisions, rollout)
+        means = {key: float(self.episodes[name][-N_RECENT_EPISODES:].mean()) for key, name in MEANS_OF_EPISODES.items()}
+        now_s = time.monotonic()
+        row = {
+            "decisions": decisions,
+            "stage": stage,
+            **means,
+            **metrics,
+            "decisions_per_s": self.n_per_iteration / (now_s - self._last_s),
+            "wall_s": now_s - self._started_s,
+        }
+        self._last_s = now_s
+        self.rows.append(row)
+        return row
+
+    def _count_episodes(self, decisions: int, rollout: Rollout) -> None:
+        is_done = rollout.is_done
+        ended = {
+            "return": rollout.episode_return[is_done],
+            "is_success": rollout.is_success[is_done],
+            "is_collision": rollout.is_collision[is_done],
+            **rollout.final_info,
+        }
+        ended = {"decisions": torch.full((int(is_done.sum()),), decisions), **ended}
+        new = {name: values.to("cpu", torch.float64) for name, values in ended.items()}
+        self.episodes = {name: torch.cat([self.episodes.get(name, values[:0]), values]) for name, values in new.items()}
+
+    def state_dict(self) -> dict[str, Any]:
+        """All but the episodes, as JSON can say it."""
+        return {"rows": self.rows, **self._times()}
+
+    def load_state_dict(self, state: dict[str, Any], episodes: Mapping[str, Tensor]) -> None:
+        """Go on where `state_dict` was taken; the time between does not count."""
+        self.rows, self.episodes = state["rows"], dict(episodes)
+        self._last_s = time.monotonic()
+        self._started_s = self._last_s - state["wall_s"]
+        self._tracking_s = state["tracking_s"]
+
+    @contextmanager
+    def tracking(self) -> Iterator[None]:
+        """What is done meanwhile is not training but keeping a record of it."""
+        started_s = time.monotonic()
+        yield
+        self._tracking_s += time.monotonic() - started_s
+
+    def scalars(self, row: dict) -> dict[str, float]:
+        """The row's numbers under their names in the dashboard."""
+        return {f"train/{k}": v for k, v in row.items() if isinstance(v, float) and v == v}
+
+    def text(self, row: dict) -> str:
+        """How it goes, for the progress line."""
+        went = "no episode over yet"
+        if row["success_rate"] == row["success_rate"]:
+            went = f"success {row['success_rate']:4.0%} return {row['return_mean']:5.1f}"
+        return f"{row['stage']} {went} {row['decisions_per_s']:5.0f} decisions/s"
+
+    def summary(self) -> dict[str, float]:
+        """The `train` part of metrics.json; tracking_share is that of the time, store and snapshots together."""
+        decisions, times = self.rows[-1]["decisions"], self._times()
+        return {
+            "decisions": decisions,
+            "wall_s": times["wall_s"],
+            "decisions_per_s": decisions / times["wall_s"],
+            "tracking_share": times["tracking_s"] / times["wall_s"],
+        }
+
+    def _times(self) -> dict[str, float]:
+        return {"wall_s": time.monotonic() - self._started_s, "tracking_s": self._tracking_s}
+
+    def write(self, folder: Path) -> None:
+        """history.csv, the iterations, and training_episodes.csv."""
+        pd.DataFrame(self.rows).to_csv(folder / HISTORY_NAME, index=False)
+        table = pd.DataFrame({name: values.numpy() for name, values in self.episodes.items()})
+        flags = {name: "int64" for name in ("decisions", "is_success", "is_collision")}
+        table.astype(flags).to_csv(folder / TRAINING_EPISODES_NAME, index=False, float_format="%.4g")
