@@ -22,6 +22,7 @@ class RecordedRun:
         self.folder, self.description = folder, ""
         self.artifacts: list[tuple[str, str]] = []
         self.metrics: dict[str, float] = {}
+        self.tags: dict[str, str] = {}
         self.images: list[tuple[str, int]] = []
         self.tables: dict[str, pd.DataFrame] = {}
 
@@ -37,7 +38,7 @@ class RecordedRun:
     def log_metrics(self, metrics: dict[str, float], step: int) -> None:
         self.metrics |= metrics
 
-    def log_checkpoint(self, path: Path, step: int, metrics: dict[str, float]) -> None:
+    def log_checkpoint(self, path: Path, step: int, metrics: dict[str, float], is_final: bool = True) -> None:
         self.log_artifact(path, f"step_{step}")
 
     def log_image(self, path: Path, key: str, step: int) -> None:
@@ -52,6 +53,9 @@ class RecordedRun:
 
     def update_metrics_json(self, section: dict[str, Any]) -> None:
         merge_into(self.folder / METRICS_NAME, section)
+
+    def set_tags(self, tags: dict[str, str]) -> None:
+        self.tags |= tags
 
     def set_description(self, markdown: str) -> None:
         self.description = markdown

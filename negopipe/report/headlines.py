@@ -21,43 +21,66 @@ def headlines(
     versus: setting -> planner other than the policy -> differences to it
     """
     by_setting = [headline(setting, measures, versus[setting]) for setting, measures in evaluation.items()]
-    rivals = [planner for planner in next(iter(evaluation.values())) if planner != ADAPTIVE]
+    rivals = _rivals(evaluation)
     if len(evaluation) < 2 or not rivals:
         return by_setting
     return [_overall(evaluation, rivals), *by_setting]
 
 
+def standing(evaluation: Mapping[str, Mapping[str, Measures]]) -> str:
+    """Against the best of the others: ahead | level | behind; alone if there are none.
+
+    Every planner is taken by its weakest setting. The settings may differ, so the policy is ahead where its interval
+    lies above the other's.
+    """
+    rivals = _rivals(evaluation)
+    if not rivals:
+        return "alone"
+    ours, theirs = _weakest(evaluation, ADAPTIVE)[1], _weakest(evaluation, _best(evaluation, rivals))[1]
+    if ours["success_low"] > theirs["success_high"]:
+        return "ahead"
+    return "behind" if ours["success_high"] < theirs["success_low"] else "level"
+
+
+RELIABILITY = {"ahead": "more reliably than", "level": "as reliably as", "behind": "less reliably than"}
+
+
+def _rivals(evaluation: Mapping[str, Mapping[str, Measures]]) -> list[str]:
+    return [planner for planner in next(iter(evaluation.values())) if planner != ADAPTIVE]
+
+
+def _weakest(evaluation: Mapping[str, Mapping[str, Measures]], planner: str) -> tuple[str, Measures]:
+    """The setting in which a planner succeeds least often, and its measures there."""
+    setting = min(evaluation, key=lambda setting: evaluation[setting][planner]["success_rate"])
+    return setting, evaluation[setting][planner]
+
+
+def _best(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[str]) -> str:
+    def rank(planner: str) -> tuple[float, float]:
+        measures = _weakest(evaluation, planner)[1]
+        return measures["success_rate"], measures["reward"]
+
+    return max(rivals, key=rank)
+
+
 def _overall(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[str]) -> tuple[str, str]:
-    """Who gets through whatever comes: every planner is taken by its weakest setting. The settings may differ, so
-    the policy is ahead where its interval lies above the other's."""
-
-    def weakest(planner: str) -> str:
-        return min(evaluation, key=lambda setting: evaluation[setting][planner]["success_rate"])
-
-    def measured(planner: str) -> Measures:
-        return evaluation[weakest(planner)][planner]
-
-    best = max(rivals, key=lambda planner: (measured(planner)["success_rate"], measured(planner)["reward"]))
+    """Who gets through whatever comes."""
+    best = _best(evaluation, rivals)
+    weakest = {planner: _weakest(evaluation, planner) for planner in (ADAPTIVE, best)}
     figures = (
         f"{planner_label(planner)} succeeds in at least "
-        f"{100 * measured(planner)['success_rate']:.1f} % of the episodes ({setting_label(weakest(planner)).lower()})"
-        for planner in (ADAPTIVE, best)
+        f"{100 * measures['success_rate']:.1f} % of the episodes ({setting_label(setting).lower()})"
+        for planner, (setting, measures) in weakest.items()
     )
     rewards = ", ".join(
         f"{each[ADAPTIVE]['reward']:.2f} against {each[best]['reward']:.2f} ({setting_label(setting).lower()})"
         for setting, each in evaluation.items()
     )
     verdict = (
-        f"Over all settings the adaptive planner succeeds {_reliability(measured(ADAPTIVE), measured(best))} "
+        f"Over all settings the adaptive planner succeeds {RELIABILITY[standing(evaluation)]} "
         f"{planner_label(best)}, the best of the others."
     )
     return verdict, f"{'; '.join(figures).capitalize()}. Reward: {rewards}."
-
-
-def _reliability(ours: Measures, theirs: Measures) -> str:
-    if ours["success_low"] > theirs["success_high"]:
-        return "more reliably than"
-    return "less reliably than" if ours["success_high"] < theirs["success_low"] else "as reliably as"
 
 
 def headline(setting: str, measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> tuple[str, str]:

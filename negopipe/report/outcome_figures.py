@@ -149,7 +149,7 @@ def outcome_map(
 def training_maps(
     episodes: pd.DataFrame, unseen_m: Sequence[tuple[float, float]], n_maps: int
 ) -> Iterator[tuple[int, Figure]]:
-    """The training in `n_maps` equal parts: decisions taken by the end of each, and how its episodes ended.
+    """The training in `n_maps` equal parts: decisions taken before each, and how its episodes ended.
 
     episodes: training_episodes.csv
     """
@@ -159,7 +159,7 @@ def training_maps(
     for start, end in pairwise(ends.tolist()):
         part = episodes[episodes["decisions"].between(start, end, inclusive="right")]
         title = f"training, {start / 1e6:.2f} to {end / 1e6:.2f} million decisions"
-        yield end, outcome_map(part, title, unseen_m, whole=episodes)
+        yield start, outcome_map(part, title, unseen_m, whole=episodes)
 
 
 def _outcome_bars(axis: Axes, row: int, episodes: pd.DataFrame, edges: np.ndarray) -> None:

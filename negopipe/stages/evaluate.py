@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
+CHARTED = ("success_rate", "collision_rate", "timeout_rate", "driving_time_s", "reward")
+"""Measures of which the store gets a chart for every setting and planner."""
 SAME_RETURN = 1e-3
 """Returns this close are of the same drive; steps cost more."""
 
@@ -142,12 +144,13 @@ def checkpoint_of(config: "RunConfig", run: "TrackedRun") -> Path:
 
 
 def _scalars(summary: dict) -> dict[str, float]:
+    """What the store charts; metrics.json and the report's tables have all."""
     return {
         f"evaluation/{setting}/{planner}/{measure}": float(value)
         for setting, planners in summary["evaluation"].items()
         for planner, measures in planners.items()
-        for measure, value in measures.items()
-        if value is not None
+        for measure in CHARTED
+        if (value := measures[measure]) is not None
     }
 
 

@@ -154,7 +154,8 @@ def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> No
     for name in (HISTORY_NAME, TRAINING_EPISODES_NAME):
         run.log_artifact(run.folder / name)
     save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, row["decisions"])
-    run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row))
+    is_final = training.n_done == training.n_total
+    run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row), is_final)
 
 
 def _stop_at_last_good(config: "RunConfig", run: "TrackedRun", training: Training) -> NoReturn:

@@ -209,16 +209,17 @@ class TrackedRun:
         self._tell("table", path=os.path.relpath(path, self.folder), folder=TABLES_NAME)
         self.deliver()
 
-    def log_checkpoint(self, path: Path, step: int, metrics: Mapping[str, float]) -> None:
+    def log_checkpoint(self, path: Path, step: int, metrics: Mapping[str, float], is_final: bool = True) -> None:
         """Record a checkpoint as a model of this run, with the metrics that hold for it at that step.
 
-        It becomes a version of `tracking.registered_model`, if that is set. A copy stays in the run folder, so that
-        the store can be given it at any time.
+        The final one becomes a version of `tracking.registered_model`, if that is set. A copy stays in the run folder,
+        so that the store can be given it at any time.
         """
         kept = self.folder / CHECKPOINTS_NAME / f"step_{step}" / path.name
         keep(path, kept)
         values = cleaned({key: float(value) for key, value in metrics.items()})
-        name, place = self._tracking.registered_model, str(kept.relative_to(self.folder))
+        name = self._tracking.registered_model if is_final else None
+        place = str(kept.relative_to(self.folder))
         logged_step, logged_ms = self._logged
         # the same metric at the same time is one, whether it is logged for the run or for the checkpoint
         time_ms = logged_ms if step == logged_step else None

@@ -119,10 +119,10 @@ def test_outcome_map_fills_each_column_with_its_outcomes(table: pd.DataFrame) ->
 
 
 def test_training_maps_show_each_part_on_the_same_axes(driven: pd.DataFrame) -> None:
-    ends, maps = zip(*outcome_figures.training_maps(driven, [], 4), strict=True)
-    assert ends[-1] == driven["decisions"].max()
+    starts, maps = zip(*outcome_figures.training_maps(driven, [], 4), strict=True)
+    assert list(starts) == [round(i * driven["decisions"].max() / 4) for i in range(4)]
     assert len({figure.axes[0].get_xlim() for figure in maps}) == 1
-    first = driven[driven["decisions"] <= ends[0]]
+    first = driven[driven["decisions"] <= starts[1]]
     heights: dict[str, float] = {}
     for bar in maps[0].axes[0].patches:
         color = to_hex(bar.get_facecolor()).upper()
@@ -131,7 +131,7 @@ def test_training_maps_show_each_part_on_the_same_axes(driven: pd.DataFrame) -> 
     column = np.floor(first["social_start_distance_m"] / outcome_figures.BIN_M).astype(int)
     shares = first.groupby(["style_horizon_s", column])["is_collision"].mean()
     assert heights[crashes] == pytest.approx(0.76 * shares.sum())
-    one_style = driven[(driven["style_horizon_s"] == 2) | (driven["decisions"] > ends[0])]
+    one_style = driven[(driven["style_horizon_s"] == 2) | (driven["decisions"] > starts[1])]
     assert next(outcome_figures.training_maps(one_style, [], 4))[1].axes  # nothing of a style in a part
 
 

@@ -170,9 +170,11 @@ def test_checkpoints_are_models_of_the_run_and_versions_in_the_registry(config: 
     file.write_bytes(b"weights")
     for seed in (1, 2):  # the second finds the registered model there
         with open_run(but(config, registered_model="policy"), f"seed{seed}-h", {}) as run:
+            run.log_checkpoint(file, 20, {}, is_final=False)  # no version
             run.log_checkpoint(file, 40, {"evaluate/success": 0.5})
     client = client_of(config)
-    (output,) = record_of(config, run).outputs.model_outputs
+    early, output = sorted(record_of(config, run).outputs.model_outputs, key=lambda each: each.step)
+    assert early.step == 20
     model = client.get_logged_model(output.model_id)
     assert (str(model.status), model.params, output.step) == ("READY", {"step": "40"}, 40)
     assert [(m.key, m.value, m.step) for m in model.metrics] == [("evaluate/success", 0.5, 40)]
