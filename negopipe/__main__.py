@@ -131,7 +131,7 @@ def run_stages(composed: DictConfig) -> float | None:
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _from_here(run.folder / file_name))
-    log.info("dashboard  make ui")
+    log.info("dashboard  make ui" + (f", then {run.charts}" if run.charts else ""))
     return objective(read(run.folder / METRICS_NAME), config.objective)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from negopipe.driver import fixed_horizon
-from negopipe.env import Game, build_game
+from negopipe.env import Game
 from negopipe.evaluation.behaviour_map import cell, claims, findings
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.planners import by_horizon, fixed_name
@@ -18,7 +18,7 @@ from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import Task
 from negopipe.stages.progress import ProgressLine
-from negopipe.stages.setup import device_of
+from negopipe.stages.setup import game_of
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -29,7 +29,7 @@ log = logging.getLogger("negopipe")
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Drive all pairs in all settings; writes behaviour_map.csv, figures/behaviour_map.* and claim 8's verdicts."""
-    game = build_game(config, device_of(config), is_compiled=config.compile == "on")
+    game = game_of(config)
     table = drive_map(config, game)
     table.to_csv(run.folder / "behaviour_map.csv", index=False)
     run.log_artifact(run.folder / "behaviour_map.csv")

@@ -10,7 +10,7 @@ import pandas as pd
 import torch
 
 from negopipe.driver import ChooseHorizon, fixed_horizon
-from negopipe.env import Game, build_game
+from negopipe.env import Game
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes, running, summary
 from negopipe.evaluation.oracle import Rollouts, Sequences, best_simple, improve
@@ -20,7 +20,7 @@ from negopipe.seeding import generator
 from negopipe.simulation.state import EGO, Task, map_tensors
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.stages.progress import ProgressLine
-from negopipe.stages.setup import device_of
+from negopipe.stages.setup import game_of
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
 
     A run that was stopped goes on with the setting that it was at.
     """
-    game = build_game(config, device_of(config), is_compiled=config.compile == "on")
+    game = game_of(config)
     parts = {setting: run.folder / PARTS_NAME / f"{setting}.csv" for setting in config.oracle.settings}
     n_rounds = 2 * config.oracle.rounds
     n_before = sum(part.exists() for part in parts.values()) * n_rounds

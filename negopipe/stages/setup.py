@@ -27,10 +27,22 @@ def device_of(config: "RunConfig") -> torch.device:
     return torch.device(config.device)
 
 
+_built: dict[str, Game] = {}
+
+
+def game_of(config: "RunConfig") -> Game:
+    """The game. Stages that follow each other share it: to compile it takes longer than to draw a report."""
+    parts = (config.scenario, config.planner, config.observation, config.perception, config.dynamics)
+    key = repr((parts, config.device, config.compile))
+    if key not in _built:
+        _built.clear()
+        _built[key] = build_game(config, device_of(config), is_compiled=config.compile == "on")
+    return _built[key]
+
+
 def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
     """The game and a freshly initialised policy."""
-    device = device_of(config)
-    game = build_game(config, device, is_compiled=config.compile == "on")
+    device, game = device_of(config), game_of(config)
     policy = grid_actor_critic(config.policy, game.observation_shape, device, generator(config.seed, "initial weights"))
     log.info(f"planner    {game.planner.n_combinations} trajectories per plan")
     return game, policy

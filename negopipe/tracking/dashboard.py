@@ -6,10 +6,18 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
-from negopipe.tracking.database import database_path
+from negopipe.tracking.database import database_path, is_served
 
 CHARTS = "#/experiments/{}/runs?workflowType=machine_learning&compareRunsMode=CHART"
 """The page of an experiment that opens on the charts of all its runs; MLflow's start page is another one."""
+PORT = 5000
+"""Of the dashboard, as the Makefile has it."""
+
+
+def chart_address(experiment_id: str, uri: str | None = None, port: int = PORT) -> str:
+    """Where the charts of an experiment are: on the server of the store, if it has one, else on that of `make ui`."""
+    server = (uri or "").rstrip("/") if is_served(uri) else f"http://127.0.0.1:{port}"
+    return f"{server}/{CHARTS.format(experiment_id)}"
 
 
 def chart_addresses(database: Path, port: int) -> dict[str, str]:
@@ -17,7 +25,7 @@ def chart_addresses(database: Path, port: int) -> dict[str, str]:
     query = """SELECT experiments.name, experiment_id FROM experiments JOIN runs USING (experiment_id)
                GROUP BY experiment_id ORDER BY MAX(start_time) DESC"""
     with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
-        return {name: f"http://127.0.0.1:{port}/{CHARTS.format(key)}" for name, key in connection.execute(query)}
+        return {name: chart_address(key, port=port) for name, key in connection.execute(query)}
 
 
 def main(outputs: str, port: str) -> None:

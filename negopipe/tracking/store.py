@@ -19,6 +19,7 @@ import yaml
 
 from negopipe.errors import UserError
 from negopipe.schema import Label, PositiveFloat, PositiveInt, schema
+from negopipe.tracking.dashboard import chart_address
 from negopipe.tracking.database import connect, database_path, store_lock
 from negopipe.tracking.dead_runs import close_dead_runs, process_tags
 from negopipe.tracking.delivery import Delivery
@@ -139,6 +140,12 @@ class TrackedRun:
     def run_id(self) -> str | None:
         """MLflow's id, once the store has been told of the run."""
         return self._delivery.done.run_id
+
+    @property
+    def charts(self) -> str | None:
+        """Where the dashboard shows the charts of this run and of others like it, once the store knows the run."""
+        experiment_id = self._delivery.done.experiment_id
+        return chart_address(experiment_id, self._tracking.uri) if experiment_id else None
 
     def begin(self) -> None:
         """From now on the run is RUNNING in the store. UserError where it can be no store, or a damaged one."""

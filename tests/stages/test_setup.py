@@ -8,7 +8,7 @@ import torch
 
 from negopipe.errors import UserError
 from negopipe.gym_env import compose_config
-from negopipe.stages.setup import build, load_policy, save_policy
+from negopipe.stages.setup import build, game_of, load_policy, save_policy
 
 SMALL = ("device=cpu", "compile=off", "policy.encoder_width=16", "policy.head_widths=[8]")
 
@@ -26,3 +26,12 @@ def test_precision_and_memory_format_of_a_checkpoint_do_not_bind(tmp_path: Path)
     wider = replace(config, policy=replace(config.policy, encoder_width=32))
     with pytest.raises(UserError, match=r"^policy\.encoder_width must be 16 as in the checkpoint .* got 32$"):
         load_policy(tmp_path / "weights", policy, wider)
+
+
+def test_stages_share_the_game_that_their_config_describes() -> None:
+    config = compose_config(SMALL)
+    game = game_of(config)
+    assert game_of(compose_config([*SMALL, "seed=7", "reward=strict"])) is game
+    other = game_of(compose_config([*SMALL, "scenario.road.corridor_gap_m=3.0"]))
+    assert other.simulator.scenario.road.corridor_gap_m == 3.0
+    assert game_of(config).simulator.scenario.road.corridor_gap_m == config.scenario.road.corridor_gap_m
