@@ -1,4 +1,6 @@
-"""The planners set against the policy on the same tasks: differences with paired intervals, for metrics.json."""
+"""The planners set against the policy, and against the oracle, on the same tasks: differences with paired intervals,
+for metrics.json.
+"""
 
 from typing import Any
 
@@ -6,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from negopipe.evaluation.statistics import mean_difference
-from negopipe.evaluation.trace import ADAPTIVE
+from negopipe.evaluation.trace import ADAPTIVE, ORACLE
 
 MEASURES = ("success", "driving_time_s", "reward")
 """What is compared; times only of the tasks in which both arrive."""
@@ -31,6 +33,20 @@ def versus_adaptive(table: pd.DataFrame) -> dict[str, Any]:
             for name, theirs in by_planner.items()
         }
     return {"versus_adaptive": compared}
+
+
+def regret(table: pd.DataFrame) -> dict[str, Any]:
+    """`regret.<setting>.<planner>` as nested dicts: value, low and high of what the planner's mean reward lacks to the
+    oracle's over the n_tasks that both drove. Empty for a setting in which no oracle drove.
+    """
+    rng = np.random.default_rng(RANDOM_SEED)
+    lacking: dict[str, Any] = {}
+    for setting, rows in table.groupby("setting", sort=False):
+        rewards = {str(name): own.set_index("episode")["reward"] for name, own in rows.groupby("planner", sort=False)}
+        best = rewards.pop(ORACLE, None)
+        found = {} if best is None else {name: _difference(best, own, rng) for name, own in rewards.items()}
+        lacking[str(setting)] = found
+    return {"regret": lacking}
 
 
 def _difference(theirs: pd.Series, ours: pd.Series, rng: np.random.Generator) -> dict[str, float | int | None]:

@@ -8,7 +8,9 @@ from negopipe.report.figures import planner_label, setting_label
 
 Measures = Mapping[str, Any]
 """The measures of one planner in one setting, as `evaluation.metrics.summary` names them."""
-Versus = Mapping[str, Mapping[str, Any]]
+Difference = Mapping[str, Any]
+"""value, low, high and n_tasks of a difference on the same tasks."""
+Versus = Mapping[str, Difference]
 """What `evaluation.comparison.versus_adaptive` says of one planner in one setting, by the measure."""
 
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from negopipe.evaluation.claims import Claim
 from negopipe.report.figures import setting_label
-from negopipe.report.headlines import Measures, Versus
+from negopipe.report.headlines import Difference, Measures, Versus
 from negopipe.report.tables import Table, n_episodes, tables
 from negopipe.schema import NonNegativeInt, PositiveInt, schema
 
@@ -32,10 +32,12 @@ class Results:
 
     evaluation: setting -> planner -> measures
     versus: setting -> planner other than the policy -> differences to it
+    regret: setting -> planner -> difference of the oracle to it; empty where none drove
     """
 
     evaluation: Mapping[str, Mapping[str, Measures]]
     versus: Mapping[str, Mapping[str, Versus]]
+    regret: Mapping[str, Mapping[str, Difference]]
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,11 @@ class Chapter:
 def chapters(results: Results) -> list[Chapter]:
     """One per setting."""
     return [
-        Chapter(setting_label(setting), n_episodes(measures), tables(measures, results.versus[setting]))
+        Chapter(
+            setting_label(setting),
+            n_episodes(measures),
+            tables(measures, results.versus[setting], results.regret[setting]),
+        )
         for setting, measures in results.evaluation.items()
     ]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from negopipe.report.figures import planner_colors, planner_label
-from negopipe.report.headlines import Measures, Versus
+from negopipe.report.headlines import Difference, Measures, Versus
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,16 @@ COMPARED = tuple(
         ("reward", "reward", 1, 2),
     )
 )
+LACKED = (Column("regret", "value", 1, 2, "min", ("low", "high")), Column("tasks", "n_tasks", 1, 0))
 
 
-def tables(measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> list[Table]:
+def tables(
+    measures: Mapping[str, Measures], versus: Mapping[str, Versus], regret: Mapping[str, Difference]
+) -> list[Table]:
     """Of one setting.
 
     measures: planner -> measures; versus: planner other than the policy -> differences to it
+    regret: planner -> difference of the oracle to it
     """
     tables_of_all = {
         "How the episodes ended": ENDED,
@@ -92,6 +96,8 @@ def tables(measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> li
     drawn = [table(caption, columns, measures, label, colors) for caption, columns in tables_of_all.items()]
     if versus:
         drawn.append(table("Less the adaptive planner, on the same tasks", COMPARED, versus, label, colors))
+    if regret:
+        drawn.append(table("What the reward lacks to the oracle's, on its tasks", LACKED, regret, label, colors))
     return drawn
 
 

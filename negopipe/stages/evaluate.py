@@ -12,7 +12,7 @@ from negopipe.driver import HorizonDriver
 from negopipe.env import Game
 from negopipe.errors import UserError
 from negopipe.evaluation import metrics
-from negopipe.evaluation.comparison import versus_adaptive
+from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.planners import adaptive_planner
@@ -64,7 +64,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     table.to_csv(run.folder / "episodes.csv", index=False)
     save_traces(run.folder / "traces.npz", traces)
     summary = metrics.summary(table)
-    run.update_metrics_json(summary | versus_adaptive(table))
+    run.update_metrics_json(summary | versus_adaptive(table) | regret(table))
     run.log_artifact(run.folder / "episodes.csv")
     run.log_metrics(_scalars(summary), step=0)
     _say(summary)

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
-RESULTS = ("evaluation", "versus_adaptive")
+RESULTS = ("evaluation", "versus_adaptive", "regret")
 """Parts of metrics.json that the page shows."""
 N_TRAINING_MAPS, SLIDE_S = 10, 0.8
 """Parts that the training is shown in, and how long each is on screen."""

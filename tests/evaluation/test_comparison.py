@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from negopipe.evaluation.comparison import versus_adaptive
+from negopipe.evaluation.comparison import regret, versus_adaptive
 
 
 def rows(planner: str, outcomes: list[str], times: list[float | None]) -> pd.DataFrame:
@@ -43,3 +43,13 @@ def test_who_never_arrives_has_no_time() -> None:
     found = compared(rows("fixed_0", ["collision"] * 4, [None] * 4))
     assert found["driving_time_s"] == {"value": None, "low": None, "high": None, "n_tasks": 0}
     assert found["success"]["value"] == -1.0
+
+
+def test_regret_is_over_the_tasks_that_the_oracle_drove() -> None:
+    lost = rows("fixed_6", ["success", "deadlock", "deadlock", "success"], [9.0, None, None, 12.0])
+    oracle = rows("oracle", ["success"] * 3, [7.0] * 3)
+    found = regret(pd.concat([OURS, lost, oracle]))["regret"]["push"]
+    assert set(found) == {"adaptive", "fixed_6"}
+    assert found["adaptive"] == {"value": 0.0, "low": 0.0, "high": 0.0, "n_tasks": 3}
+    assert found["fixed_6"]["value"] == pytest.approx(20 / 3)
+    assert regret(OURS) == {"regret": {"push": {}}}

@@ -37,6 +37,7 @@ RESULTS = Results(
         "push": {"adaptive": measures(1.0, 0.0, 8.0), "fixed_0": measures(1.0, 0.0, 9.5)},
     },
     {"yield": {"fixed_0": versus(-0.9)}, "push": {"fixed_0": versus(0.0, time_s=1.5)}},
+    {"yield": {}, "push": {}},
 )
 CLAIM = Claim(
     4, "Nobody <else> arrives", "all others fail", "does not hold", [Finding("success [%]", 69.0, 62.3, 75.0)]

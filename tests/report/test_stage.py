@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 from tracked import RecordedRun
 
 from negopipe.errors import UserError
-from negopipe.evaluation.comparison import versus_adaptive
+from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.metrics import summary
 from negopipe.evaluation.replay import Insight
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
@@ -65,7 +65,7 @@ def run(
     table.to_csv(tmp_path / "episodes.csv", index=False)
     history.to_csv(tmp_path / "history.csv", index=False)
     driven.to_csv(tmp_path / "training_episodes.csv", index=False)
-    measured = summary(table) | versus_adaptive(table)
+    measured = summary(table) | versus_adaptive(table) | regret(table)
     (tmp_path / "metrics.json").write_text(json.dumps(measured, sort_keys=True))
     (tmp_path / "config.yaml").write_text("name: push\nseed: 3\n")
     return RecordedRun(tmp_path)

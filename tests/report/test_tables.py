@@ -6,9 +6,11 @@ from negopipe.report.tables import Cell, n_episodes, tables
 
 MEASURES = {"adaptive": measures(0.9, 0.1, 14.0), "fixed_0": measures(0.0, 1.0, None)}
 
+REGRET = (("adaptive", 0.5), ("fixed_0", 5.75))
+
 
 def test_rates_have_intervals_and_the_best_is_marked() -> None:
-    ended, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)})
+    ended, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)}, {})
     assert ended.columns[0] == "success [%]"
     adaptive, fixed = ended.rows
     assert adaptive.label == "adaptive"
@@ -19,24 +21,32 @@ def test_rates_have_intervals_and_the_best_is_marked() -> None:
 
 
 def test_what_there_is_none_of_is_none() -> None:
-    _, drove, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)})
+    _, drove, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)}, {})
     column = drove.columns.index("time of arrivals [s]")
     assert [row.cells[column].text for row in drove.rows] == ["14.0", "none"]
     assert not any(cell.is_best for row in drove.rows for cell in row.cells)
 
 
 def test_differences_carry_their_sign_and_interval() -> None:
-    *_, compared = tables(MEASURES, {"fixed_0": versus(-0.9)})
+    *_, compared = tables(MEASURES, {"fixed_0": versus(-0.9)}, {})
     success, time, _ = compared.rows[0].cells
     minus = "\N{MINUS SIGN}"
     assert success == Cell(f"{minus}90.0", f"{minus}95.0 to {minus}85.0")
     assert (time.text, time.interval) == ("none", "")
-    assert len(tables({"adaptive": MEASURES["adaptive"]}, {})) == 3
+    assert len(tables({"adaptive": MEASURES["adaptive"]}, {}, {})) == 3
+
+
+def test_what_is_lacking_to_the_oracle_is_shown_where_it_drove() -> None:
+    lacking = {name: {"value": value, "low": value - 0.1, "high": value + 0.1, "n_tasks": 64} for name, value in REGRET}
+    *_, regret = tables(MEASURES, {}, lacking)
+    adaptive, fixed = regret.rows
+    assert adaptive.cells == [Cell("0.50", "0.40 to 0.60", True), Cell("64")]
+    assert fixed.cells[0] == Cell("5.75", "5.65 to 5.85", False)
 
 
 def test_equal_numbers_are_not_marked() -> None:
     ended, *_ = tables(
-        {"adaptive": measures(1.0, 0.0, 8.0), "fixed_0": measures(1.0, 0.0, 9.0)}, {"fixed_0": versus(0)}
+        {"adaptive": measures(1.0, 0.0, 8.0), "fixed_0": measures(1.0, 0.0, 9.0)}, {"fixed_0": versus(0)}, {}
     )
     assert not any(row.cells[0].is_best for row in ended.rows)
 
