@@ -61,6 +61,11 @@ CAPTIONS = {
         horizon: 0 s ignores the social vehicle and pushes, 6 s gives way early. White: the episode is
         over.""",
     ),
+    "horizons_along": (
+        "Where it chose them",
+        """The same choices by place: of all decisions that the adaptive planner took within a metre of the road, the
+        share of each horizon. Dashed lines are the mouths of the corridor. Where it waits it decides many times.""",
+    ),
     "learning_curves": (
         "Learning curves",
         """Success rate and return of the latest episodes while training, over decisions and over wall time. Lines

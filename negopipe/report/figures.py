@@ -220,6 +220,34 @@ def horizons(traces: Sequence[Trace]) -> Figure:
 
 
 @styled
+def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
+    """Which prediction horizon the adaptive planner chooses where, as shares of its decisions there."""
+    adaptive = [trace for trace in traces if trace.planner == ADAPTIVE]
+    figure = Figure((WIDTH_IN, 0.7 + 1.5 * len(adaptive)), layout="constrained")
+    axes = figure.subplots(len(adaptive), 1, sharex=True, squeeze=False)[:, 0]
+    driven = [
+        (trace.progress_m[:-1, :, EGO][running(trace)], trace.horizon_s[:, :, EGO][running(trace)])
+        for trace in adaptive
+    ]
+    places, chosen = (np.concatenate(parts) for parts in zip(*driven, strict=True))
+    edges_m = np.arange(np.floor(places.min()), np.ceil(places.max()) + 1)
+    levels = np.unique(chosen)
+    for axis, trace, (place, horizon) in zip(axes, adaptive, driven, strict=True):
+        counts = np.stack([np.histogram(place[horizon == level], edges_m)[0] for level in levels])
+        tops = 100 * counts.cumsum(0) / np.maximum(counts.sum(0), 1)
+        for level, top, base in zip(levels, tops, np.vstack([np.zeros_like(tops[:1]), tops[:-1]]), strict=True):
+            axis.stairs(top, edges_m, baseline=base, fill=True, color=horizon_color(level))
+        for mouth_m in (0.0, corridor_length_m):
+            axis.axvline(mouth_m, color="white", linewidth=2.2)
+            axis.axvline(mouth_m, color=INK, linestyle="--", linewidth=1.0)
+        axis.set(ylim=(0, 100), ylabel="decisions [%]", title=setting_label(trace.family))
+        axis.text(corridor_length_m / 2, 102, "corridor", ha="center", va="bottom", color=QUIET, fontsize=8.5)
+    axes[-1].set(xlabel="ego from the mouth of the corridor [m]", xlim=(edges_m[0], edges_m[-1]))
+    _horizon_legend(figure, levels)
+    return figure
+
+
+@styled
 def space_time(traces: Sequence[Trace], episode: int, corridor_sigma_m: tuple[float, float]) -> Figure:
     """One episode under every planner: where both vehicles are along the road's reference line over time.
 

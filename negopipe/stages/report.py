@@ -101,7 +101,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
         _planners(drawings, table, _unseen(config)),
         _negotiations(drawings, traces, road.corridor_sigma_m),
         _animations(config.report, films, traces, make_scene(config.scenario, road), insights),
-        _behaviour(drawings, traces),
+        _behaviour(drawings, traces, config.scenario.road.corridor_length_m),
         _training(drawings, films, run, sorted({gap for gaps in _unseen(config).values() for gap in gaps})),
     ]
     verdicts = headlines(results.evaluation, results.versus)
@@ -263,11 +263,13 @@ def _film(
     return gallery.animation(name, gif, still, title, reading)
 
 
-def _behaviour(gallery: _Gallery, traces: dict[str, list[Trace]]) -> Section:
+def _behaviour(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_length_m: float) -> Section:
     flat = [trace for group in traces.values() for trace in group]
     psi = gallery.figure("behaviour_index", figures.behaviour(flat), *caption("behaviour_index"))
     chosen = gallery.figure("horizons", figures.horizons(flat), *caption("horizons"))
-    return Section("Behaviour", "", [psi, chosen])
+    along = figures.horizons_along(flat, corridor_length_m)
+    where = gallery.figure("horizons_along", along, *caption("horizons_along"))
+    return Section("Behaviour", "", [psi, chosen, where])
 
 
 def _training(

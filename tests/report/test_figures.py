@@ -24,6 +24,7 @@ DRAWINGS: dict[str, Draw] = {
     "outcome_map": lambda traces, table, history: outcome_figures.outcome_map(table, "Yield", [(12.2, 12.6)]),
     "behaviour": lambda traces, table, history: figures.behaviour(traces),
     "horizons": lambda traces, table, history: figures.horizons(traces),
+    "horizons_along": lambda traces, table, history: figures.horizons_along(traces, 12.0),
     "space_time": lambda traces, table, history: figures.space_time(traces[:5], 0, (-6.0, 6.0)),
     "training": lambda traces, table, history: figures.training(history),
 }
@@ -172,3 +173,17 @@ def test_training_draws_only_what_was_logged_and_marks_the_stages(history: pd.Da
     boundaries = [line.get_xdata()[0] for line in figure.axes[1].lines if line.get_linestyle() == "--"]
     begins = history["decisions"][history["stage"] != history["stage"].shift(fill_value="apart")] / 1e3
     assert boundaries == pytest.approx(begins.tolist())
+
+
+def test_horizons_along_the_road_are_shares_of_the_decisions_there(traces: list[Trace]) -> None:
+    axis = figures.horizons_along(traces, 12.0).axes[0]
+    adaptive = traces[0]
+    is_running = np.arange(len(adaptive.reward))[:, None] < adaptive.n_steps
+    place = adaptive.progress_m[:-1, :, 0][is_running]
+    horizon = adaptive.horizon_s[:, :, 0][is_running]
+    levels = np.unique(np.concatenate([t.horizon_s[:, :, 0].ravel() for t in traces if t.planner == "adaptive"]))
+    tops = {level: stairs.get_data() for level, stairs in zip(levels, axis.patches, strict=True)}
+    top, edges, base = tops[6.0]
+    for left, high, low in zip(edges[:-1], top, base, strict=True):
+        there = horizon[(place >= left) & (place < left + 1)]
+        assert high - low == pytest.approx(100 * (there == 6.0).mean() if len(there) else 0.0)

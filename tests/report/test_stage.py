@@ -92,7 +92,7 @@ def test_everything_is_written_and_logged(
     assert "<h2>How it was made</h2>" in page
     assert "name: push" in page
     images = re.findall(r'<img src="(data:image/[a-z+]+);', page)
-    assert images.count("data:image/svg+xml") == 8
+    assert images.count("data:image/svg+xml") == 9
     # in each setting a typical one, the worst, and one side by side; and what the training mastered when
     assert images.count("data:image/gif") == 7
     assert run.artifacts == [
