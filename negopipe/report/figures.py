@@ -221,14 +221,11 @@ def horizons(traces: Sequence[Trace]) -> Figure:
 
 @styled
 def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
-    """Which prediction horizon the adaptive planner chooses where, as shares of its decisions there."""
+    """Which prediction horizon the adaptive planner chooses where, as shares of its decisions before it arrives."""
     adaptive = [trace for trace in traces if trace.planner == ADAPTIVE]
     figure = Figure((WIDTH_IN, 0.7 + 1.5 * len(adaptive)), layout="constrained")
     axes = figure.subplots(len(adaptive), 1, sharex=True, squeeze=False)[:, 0]
-    driven = [
-        (trace.progress_m[:-1, :, EGO][running(trace)], trace.horizon_s[:, :, EGO][running(trace)])
-        for trace in adaptive
-    ]
+    driven = [_decided(trace) for trace in adaptive]
     places, chosen = (np.concatenate(parts) for parts in zip(*driven, strict=True))
     edges_m = np.arange(np.floor(places.min()), np.ceil(places.max()) + 1)
     levels = np.unique(chosen)
@@ -245,6 +242,14 @@ def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
     axes[-1].set(xlabel="ego from the mouth of the corridor [m]", xlim=(edges_m[0], edges_m[-1]))
     _horizon_legend(figure, levels)
     return figure
+
+
+def _decided(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Progress, m, and horizon, s, of all decisions that the ego took before it arrived, flat."""
+    reached = trace.reached_step[:, EGO]
+    end = np.where(reached >= 0, np.minimum(reached, trace.n_steps), trace.n_steps)
+    is_driving = np.arange(len(trace.reward))[:, None] < end
+    return trace.progress_m[:-1, :, EGO][is_driving], trace.horizon_s[:, :, EGO][is_driving]
 
 
 @styled

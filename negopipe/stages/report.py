@@ -275,7 +275,7 @@ def _behaviour(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_lengt
 def _training(
     drawings: _Gallery, films: _Gallery, run: "TrackedRun", unseen_m: Sequence[tuple[float, float]]
 ) -> Section:
-    """The store is given the maps, too, each at the step that it was reached at."""
+    """The store is given the maps, too, each at the step at which its part of the training begins."""
     if not (run.folder / HISTORY_NAME).is_file():
         return Section("Training", NOT_TRAINED, [])
     table = _read_csv(run.folder / HISTORY_NAME, "train")

@@ -178,7 +178,8 @@ def test_training_draws_only_what_was_logged_and_marks_the_stages(history: pd.Da
 def test_horizons_along_the_road_are_shares_of_the_decisions_there(traces: list[Trace]) -> None:
     axis = figures.horizons_along(traces, 12.0).axes[0]
     adaptive = traces[0]
-    is_running = np.arange(len(adaptive.reward))[:, None] < adaptive.n_steps
+    reached = adaptive.reached_step[:, 0]
+    is_running = np.arange(len(adaptive.reward))[:, None] < np.where(reached < 0, adaptive.n_steps, reached)
     place = adaptive.progress_m[:-1, :, 0][is_running]
     horizon = adaptive.horizon_s[:, :, 0][is_running]
     levels = np.unique(np.concatenate([t.horizon_s[:, :, 0].ravel() for t in traces if t.planner == "adaptive"]))
