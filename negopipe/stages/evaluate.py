@@ -24,6 +24,7 @@ from negopipe.policy.actor_critic import ActorCritic
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler, pair_styles
 from negopipe.simulation.state import Task, map_tensors
+from negopipe.stages.description import tell_how_it_went
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, load_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
@@ -64,9 +65,11 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     table.to_csv(run.folder / "episodes.csv", index=False)
     save_traces(run.folder / "traces.npz", traces)
     summary = metrics.summary(table)
-    run.update_metrics_json(summary | versus_adaptive(table) | regret(table))
+    results = summary | versus_adaptive(table) | regret(table)
+    run.update_metrics_json(results)
     run.log_artifact(run.folder / "episodes.csv")
     run.log_metrics(_scalars(summary), step=0)
+    tell_how_it_went(config, run, results)
     _say(summary)
 
 

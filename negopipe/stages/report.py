@@ -20,7 +20,7 @@ from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.animation import Scene
 from negopipe.report.captions import NOT_TRAINED, WATCH, caption
 from negopipe.report.figures import planner_label, setting_label
-from negopipe.report.headlines import headlines, standing
+from negopipe.report.headlines import headlines
 from negopipe.report.page import (
     Exhibit,
     ReportConfig,
@@ -114,8 +114,6 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
             run.log_artifact(gallery.folder, gallery.folder.name)
     run.log_artifact(run.folder / "report.html")
     _log_tables(run, metrics, table)
-    run.set_tags({"standing": standing(results.evaluation)})
-    run.set_description("\n\n".join(" ".join(lines) for lines in verdicts))
     log.info("report: %s", run.folder / "report.html")
 
 

@@ -16,6 +16,7 @@ from negopipe.nested import put_under, take_from
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import named_tensors, with_tensors
+from negopipe.stages.description import what_it_is
 from negopipe.stages.interruption import AskedToStop
 from negopipe.stages.learning_curve import MEANS_OF_EPISODES, LearningCurve
 from negopipe.stages.progress import ProgressLine
@@ -37,6 +38,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     Writes checkpoint.safetensors, history.csv, training_episodes.csv and the `train` part of metrics.json.
     A run that was stopped goes on from its newest snapshot, and ends as if it had never been stopped.
     """
+    run.set_description(what_it_is(config))
     training = Training(config)
     snapshots = Snapshots(run.folder / SNAPSHOTS_NAME, config.tracking.n_snapshots)
     training.go_on_from(snapshots)

@@ -101,7 +101,6 @@ def test_everything_is_written_and_logged(
         ("animations", "animations"),
         ("report.html", ""),
     ]
-    assert run.tags["standing"] in ("ahead", "level", "behind")
     keys, steps = zip(*run.images, strict=True)
     assert set(keys) == {"training outcomes"}
     assert list(steps) == [round(i * driven["decisions"].max() / 10) for i in range(10)]
@@ -112,9 +111,6 @@ def test_everything_is_written_and_logged(
     assert all(claim["words"].replace('"', "&#34;") in page for claim in claims)
     assert {claim["verdict"] for claim in claims[:9]} <= {"holds", "does not hold", "undecided"}
     assert claims[9]["verdict"] == "not tested"
-    over_all, push, *_ = run.description.split("\n\n")
-    assert over_all.startswith("Over all settings the adaptive planner")
-    assert push.startswith("Push: the adaptive planner")
     assert len(list((run.folder / "animations").glob("*.gif"))) == 7
 
 
