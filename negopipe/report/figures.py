@@ -28,7 +28,14 @@ from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES, Trace
 from negopipe.simulation.state import EGO
 
 ADAPTIVE_COLOR = "#00A0A0"
-OTHER_COLORS = ("#7A7A7A", "#B08D57", "#B5B5B5", "#5E7F5E", "#8FBF3F")
+RIVAL_COLORS = {
+    "random": "#7A7A7A",
+    "give_way": "#B08D57",
+    "cautious": "#B5B5B5",
+    "level_k": "#5E7F5E",
+    "oracle": "#8FBF3F",
+}
+OTHER_COLORS = tuple(RIVAL_COLORS.values())
 OUTCOME_COLORS = {"success": "#BFD9EA", "collision": "#D55E00", "deadlock": "#3C3C3C", "timeout": "#A8A8A8"}
 INK, QUIET, CORRIDOR = "#222222", "#8A8A8A", "#EFEBE2"
 LONGEST_HORIZON_S = 6.0
@@ -73,11 +80,15 @@ def horizon_color(horizon_s: float) -> str:
 
 
 def planner_colors(planners: Sequence[str]) -> dict[str, str]:
-    """Colour of each planner, as hex; neither adaptive nor fixed: quiet ones in their order."""
-    known = {name: ADAPTIVE_COLOR for name in planners if name == ADAPTIVE}
+    """Colour of each planner, as hex, the same whoever is beside it; of one that is not known here, quiet ones in
+    their order.
+    """
+    known = {ADAPTIVE: ADAPTIVE_COLOR, **RIVAL_COLORS}
     known |= {name: horizon_color(float(fixed[1])) for name in planners if (fixed := FIXED.fullmatch(name))}
-    others = [name for name in planners if name not in known]
-    return known | {name: OTHER_COLORS[i % len(OTHER_COLORS)] for i, name in enumerate(others)}
+    others = dict.fromkeys(name for name in planners if name not in known)
+    free = [color for name, color in RIVAL_COLORS.items() if name not in planners] or [QUIET]
+    known |= {name: free[i % len(free)] for i, name in enumerate(others)}
+    return {name: known[name] for name in planners}
 
 
 def planner_label(planner: str) -> str:

@@ -65,10 +65,11 @@ def test_style_does_not_leak(table: pd.DataFrame) -> None:
 
 
 def test_a_planner_keeps_its_colour_whoever_it_is_shown_with() -> None:
-    alone = figures.planner_colors(["fixed_4"])
-    together = figures.planner_colors(["adaptive", "fixed_0", "random", "fixed_4", "rule"])
-    assert together["fixed_4"] == alone["fixed_4"] == figures.horizon_color(4.0)
-    assert len(set(together.values())) == 5
+    together = figures.planner_colors(["adaptive", "fixed_0", "random", "fixed_4", "level_k", "rule", "rule"])
+    assert together["fixed_4"] == figures.horizon_color(4.0)
+    for name in ("adaptive", "fixed_4", "level_k"):
+        assert figures.planner_colors([name]) == {name: together[name]}
+    assert len(set(together.values())) == 6
 
 
 def test_a_planner_that_only_sounds_like_a_fixed_one_is_shown_too() -> None:
