@@ -1,13 +1,21 @@
-"""How a page was made: what it says of its command, config and packages."""
+"""What goes with a page: how it was made, and its claims as a file."""
 
+import json
 import platform
 import shlex
 import sys
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from negopipe.errors import UserError
+from negopipe.evaluation.claims import Claim
 from negopipe.report.page import Provenance
+from negopipe.tracking.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from negopipe.tracking.store import TrackedRun
 
 PACKAGES = ("negopipe", "torch", "numpy", "pandas", "matplotlib", "hydra-core", "mlflow")
 """Whose versions the page names."""
@@ -20,6 +28,14 @@ def provenance(seed: int, folder: Path) -> Provenance:
     command = shlex.join(["python", "-m", "negopipe", *sys.argv[1:]])
     versions = {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
     return Provenance(command, seed, config_path.read_text(encoding="utf-8"), versions)
+
+
+def write_claims(run: "TrackedRun", claims: Sequence[Claim]) -> None:
+    """claims.json"""
+    path = run.folder / "claims.json"
+    text = json.dumps([claim.as_dict() for claim in claims], indent=2, ensure_ascii=False, allow_nan=False)
+    write_whole(path, f"{text}\n".encode())
+    run.log_artifact(path)
 
 
 def _version(package: str) -> str:

@@ -13,7 +13,7 @@ import torch
 from matplotlib.figure import Figure
 
 from negopipe.errors import UserError
-from negopipe.evaluation.claims import Claim, judge_claims
+from negopipe.evaluation.claims import judge_claims
 from negopipe.evaluation.replay import Insight, look_into
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures, outcome_figures
@@ -35,10 +35,9 @@ from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import EGO, NEAREST, map_tensors
 from negopipe.stages import report_runs
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
-from negopipe.stages.provenance import provenance
+from negopipe.stages.provenance import provenance, write_claims
 from negopipe.stages.setup import build, load_policy
 from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
-from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -91,7 +90,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     planners = list(table["planner"].unique())
     results = Results(*({setting: _pick(metrics[part][setting], planners) for setting in settings} for part in RESULTS))
     claims = judge_claims(table, [trace for group in traces.values() for trace in group])
-    _write_claims(run, claims)
+    write_claims(run, claims)
     drawings = _Gallery(run.folder / "figures", config.report.figure_formats)
     films = _Gallery(run.folder / "animations")
     road = Road(config.scenario.road)
@@ -305,13 +304,6 @@ def _read_metrics(folder: Path) -> dict[str, Any]:
 def _pick(by_planner: Mapping[str, Any], planners: Sequence[str]) -> dict[str, Any]:
     """In the order of the planners; JSON has sorted them."""
     return {planner: by_planner[planner] for planner in planners if planner in by_planner}
-
-
-def _write_claims(run: "TrackedRun", claims: Sequence[Claim]) -> None:
-    path = run.folder / "claims.json"
-    text = json.dumps([claim.as_dict() for claim in claims], indent=2, ensure_ascii=False, allow_nan=False)
-    write_whole(path, f"{text}\n".encode())
-    run.log_artifact(path)
 
 
 def _log_tables(run: "TrackedRun", metrics: Mapping[str, Any], episodes: pd.DataFrame) -> None:

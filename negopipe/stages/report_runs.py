@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING
 from negopipe.report.captions import caption
 from negopipe.report.figures import render
 from negopipe.report.page import Exhibit, Section, build_page
-from negopipe.stages.provenance import provenance
-from negopipe.sweeping.comparison import compare, find_runs, group, read_groups, read_histories, short_names
+from negopipe.stages.provenance import provenance, write_claims
+from negopipe.sweeping.comparison import (
+    compare,
+    curriculum_claim,
+    find_runs,
+    group,
+    read_groups,
+    read_histories,
+    short_names,
+)
 from negopipe.sweeping.learning_curves import learning_curves
 from negopipe.tracking.whole_file import write_whole
 
@@ -29,7 +37,9 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     verdicts, chapters = compare(read_groups(groups))
     title = f"runs {config.runs}"
     sections = [_configs(short), _training(groups)]
-    page = build_page(title, verdicts, chapters, [], sections, provenance(config.seed, run.folder))
+    tested = [claim for claim in (curriculum_claim(found),) if claim is not None]
+    write_claims(run, tested)
+    page = build_page(title, verdicts, chapters, tested, sections, provenance(config.seed, run.folder))
     path = run.folder / "report.html"
     write_whole(path, page.encode())
     run.log_artifact(path)

@@ -12,6 +12,7 @@ import pandas as pd
 
 from negopipe.config import RESULT_NEUTRAL
 from negopipe.errors import UserError
+from negopipe.evaluation.claims import Claim, judge_curriculum
 from negopipe.evaluation.statistics import probability_of_improvement
 from negopipe.evaluation.trace import ADAPTIVE
 from negopipe.report.figures import setting_label
@@ -56,7 +57,7 @@ def find_runs(outputs: Path, pattern: str) -> dict[Path, SweptRun]:
 
 def group(runs: Mapping[Path, SweptRun]) -> dict[str, list[Path]]:
     """Runs of one config together, named by the overrides that set it apart."""
-    keys = [key for key in differing_keys(list(runs.values())) if not key.startswith(NOT_COMPARED)]
+    keys = _compared_keys(runs)
     shared = set.intersection(*(set(run.overrides) for run in runs.values()))
     names: dict[str, str] = {}
     groups: dict[str, list[Path]] = {}
@@ -68,6 +69,10 @@ def group(runs: Mapping[Path, SweptRun]) -> dict[str, list[Path]]:
             names[config] = name if name not in names.values() else f"{name} ({len(names) + 1})"
         groups.setdefault(names[config], []).append(folder)
     return groups
+
+
+def _compared_keys(runs: Mapping[Path, SweptRun]) -> list[str]:
+    return [key for key in differing_keys(list(runs.values())) if not key.startswith(NOT_COMPARED)]
 
 
 def _is_compared(override: str) -> bool:
@@ -123,6 +128,29 @@ def compare(episodes: pd.DataFrame) -> tuple[list[tuple[str, str]], list[Chapter
         verdicts.append(_verdict(str(setting), best, across))
         chapters.append(_chapter(str(setting), across, seeds))
     return verdicts, chapters
+
+
+def curriculum_claim(runs: Mapping[Path, SweptRun]) -> Claim | None:
+    """The paper's claim on the curriculum; None where the runs differ in more than it, or none of them does without."""
+    is_only_curriculum = all(key.startswith("curriculum.") for key in _compared_keys(runs))
+    n_iterations = {sum(_of_stages(run, "n_iterations")) for run in runs.values()}
+    rewards: dict[bool, list[float]] = {True: [], False: []}
+    for folder, run in runs.items():
+        rewards[len(_of_stages(run, "name")) > 1].append(_mean_reward(folder))
+    if not (is_only_curriculum and len(n_iterations) == 1 and all(rewards.values())):
+        return None
+    return judge_curriculum(np.array(rewards[True]), np.array(rewards[False]))
+
+
+def _of_stages(run: SweptRun, key: str) -> list[Any]:
+    return [value for name, value in run.config.items() if fnmatch(name, f"curriculum.stages.*.{key}")]
+
+
+def _mean_reward(folder: Path) -> float:
+    """The policy's, mean over the settings."""
+    episodes = read_tables([folder])
+    own = episodes[episodes["planner"] == ADAPTIVE]
+    return float(own.groupby("setting")["reward"].mean().mean())
 
 
 def _across(seeds: pd.DataFrame, first: pd.DataFrame) -> dict[str, Any]:

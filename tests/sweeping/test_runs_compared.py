@@ -6,12 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from swept import make_run
 from tracked import RecordedRun
 
 from negopipe.errors import UserError
 from negopipe.stages import report_runs
-from negopipe.sweeping.comparison import compare, find_runs, group, read_groups, short_names
+from negopipe.sweeping.comparison import compare, curriculum_claim, find_runs, group, read_groups, short_names
 
 N = 50
 
@@ -53,6 +54,44 @@ def test_the_better_config_is_named_with_how_likely_it_is_better(outputs: Path) 
     assert [row.cells[3].text for row in across.rows] == ["50", "100"]
     assert [row.label for row in each.rows][:2] == ["algorithm.rate=0.1, seed 1", "algorithm.rate=0.1, seed 2"]
     assert each.rows[0].cells[0].interval
+
+
+def stages(*n_iterations: int) -> dict:
+    return {"stages": [{"name": f"stage {i}", "n_iterations": n} for i, n in enumerate(n_iterations)]}
+
+
+def trained(outputs: Path, seed: int, success: float, curriculum: dict) -> None:
+    folder = evaluated(outputs, seed, 0.1, success)
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    (folder / "config.yaml").write_text(yaml.safe_dump(config | {"curriculum": curriculum}))
+
+
+@pytest.mark.parametrize(
+    ("with_it", "without", "verdict"),
+    [
+        ([0.9, 0.8, 0.9], [0.1, 0.2, 0.3], "holds"),
+        ([0.1, 0.2], [0.9, 0.8], "does not hold"),
+        ([0.1], [0.9], "undecided"),
+        ([0.1, 0.9], [0.2, 0.8], "undecided"),
+    ],
+)
+def test_the_claim_on_the_curriculum_is_judged_where_the_runs_tell(
+    tmp_path: Path, with_it: list[float], without: list[float], verdict: str
+) -> None:
+    for seed, success in enumerate(with_it):
+        trained(tmp_path, seed, success, stages(10, 30))
+    assert curriculum_claim(find_runs(tmp_path, "yield")) is None
+    for seed, success in enumerate(without):
+        trained(tmp_path, seed, success, stages(40))
+    claim = curriculum_claim(find_runs(tmp_path, "yield"))
+    assert claim is not None
+    assert (claim.number, claim.verdict) == (10, verdict)
+    more = 34 * (np.mean(with_it) - np.mean(without))
+    assert claim.findings[1].value == pytest.approx(more)
+    trained(tmp_path, 9, 0.5, stages(50))
+    assert curriculum_claim(find_runs(tmp_path, "yield")) is None  # another number of decisions
+    evaluated(tmp_path, 9, 0.2, 0.5)
+    assert curriculum_claim(find_runs(tmp_path, "yield")) is None
 
 
 def test_long_names_become_letters() -> None:
