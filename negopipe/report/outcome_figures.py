@@ -25,8 +25,8 @@ from negopipe.report.figures import (
     styled,
 )
 
-BIN_M = 0.4
-"""Width of a column of start distances."""
+BIN_M = 0.2
+"""Width of a column of start distances; the first and the last end with the distances themselves."""
 
 
 @styled
@@ -124,6 +124,7 @@ def outcome_map(
     whole = episodes if whole is None else whole
     distance = whole["social_start_distance_m"].to_numpy()
     edges = BIN_M * np.arange(np.floor(distance.min() / BIN_M), np.floor(distance.max() / BIN_M) + 2)
+    edges = edges.clip(distance.min(), distance.max())
     styles = np.sort(whole["style_horizon_s"].unique())
     figure = Figure((WIDTH_IN, 1.3 + 0.45 * len(styles)), layout="constrained")
     axis = figure.subplots()
@@ -134,7 +135,7 @@ def outcome_map(
         axis.plot(
             (first, last), (len(styles) - 0.42,) * 2, color=INK, linewidth=3, solid_capstyle="butt", clip_on=False
         )
-    axis.set(xlim=(edges[0], edges[-1]), ylim=(len(styles) - 0.35, -0.5))
+    axis.set(xlim=(edges[0] - BIN_M, edges[-1] + BIN_M), ylim=(len(styles) - 0.35, -0.5))
     axis.set_yticks(range(len(styles)), [f"{style:g} s" for style in styles])
     axis.set_xlabel("start distance of the social driver [m]")
     axis.set_ylabel("its style [s]")
@@ -168,11 +169,12 @@ def _outcome_bars(axis: Axes, row: int, episodes: pd.DataFrame, edges: np.ndarra
     if episodes.empty:
         return
     column = np.searchsorted(edges, episodes["social_start_distance_m"].to_numpy(), side="right") - 1
+    column = column.clip(max=len(edges) - 2)
     share = pd.crosstab(column, episodes["outcome"], normalize="index").reindex(columns=list(OUTCOMES), fill_value=0.0)
-    at = edges[share.index.to_numpy(dtype=int)]
+    at, width = (values[share.index.to_numpy(dtype=int)] for values in (edges, np.diff(edges)))
     base = np.full(len(share), row + 0.38)
     for outcome in OUTCOMES:
         height = 0.76 * share[outcome].to_numpy()
         color = OUTCOME_COLORS[outcome]  # of the edges, too, or seams show between the columns
-        axis.bar(at, -height, width=BIN_M, bottom=base, align="edge", color=color, edgecolor=color, linewidth=0.4)
+        axis.bar(at, -height, width=width, bottom=base, align="edge", color=color, edgecolor=color, linewidth=0.4)
         base = base - height

@@ -116,4 +116,4 @@ class LearningCurve:
         pd.DataFrame(self.rows).to_csv(folder / HISTORY_NAME, index=False)
         table = pd.DataFrame({name: values.numpy() for name, values in self.episodes.items()})
         flags = {name: "int64" for name in ("decisions", "is_success", "is_collision")}
-        table.astype(flags).to_csv(folder / TRAINING_EPISODES_NAME, index=False, float_format="%.4g")
+        table.astype(flags).to_csv(folder / TRAINING_EPISODES_NAME, index=False, float_format="%.6g")
