@@ -95,6 +95,7 @@ def run_stages(composed: DictConfig) -> float | None:
     from negopipe.stages.reuse import take_over_training
     from negopipe.sweeping.objective import objective
     from negopipe.tracking.checkpoint import find_checkpoint
+    from negopipe.tracking.database import is_served
     from negopipe.tracking.metrics_file import read
     from negopipe.tracking.run_folder import METRICS_NAME
     from negopipe.tracking.store import open_run
@@ -131,7 +132,8 @@ def run_stages(composed: DictConfig) -> float | None:
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _from_here(run.folder / file_name))
-    log.info("dashboard  make ui" + (f", then {run.charts}" if run.charts else ""))
+    how = [] if is_served(config.tracking.uri) else ["make ui"]
+    log.info(f"dashboard  {', then '.join([*how, *([run.charts] if run.charts else [])])}")
     return objective(read(run.folder / METRICS_NAME), config.objective)
 
 

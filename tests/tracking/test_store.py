@@ -16,7 +16,7 @@ from mlflow import MlflowClient
 from mlflow.entities import Run
 
 from negopipe.errors import UserError
-from negopipe.tracking.dashboard import chart_addresses
+from negopipe.tracking.dashboard import chart_address, chart_addresses
 from negopipe.tracking.names import clean_name, flatten
 from negopipe.tracking.store import StoreConfig, TrackedRun, find_store
 from negopipe.tracking.store import open_run as open_run_lazily
@@ -216,6 +216,15 @@ def test_the_dashboard_lists_experiments_latest_first(config: StoreConfig) -> No
     addresses = chart_addresses(Path(config.outputs) / "mlflow" / "mlflow.db", 5001)
     assert list(addresses)[:2] == ["early", "late"]
     assert addresses["late"].startswith("http://127.0.0.1:5001/#/experiments/")
+    assert chart_address("7", "http://host:8000/").startswith("http://host:8000/#/experiments/7/")
+
+
+def test_a_run_knows_where_its_charts_are(config: StoreConfig) -> None:
+    with open_run_lazily(config, "seed1-charts", {}) as run:
+        assert run.charts is None
+        run.begin()
+        addresses = chart_addresses(Path(config.outputs) / "mlflow" / "mlflow.db", 5000)
+        assert run.charts in addresses.values()
 
 
 def test_a_first_start_that_is_killed_does_not_spoil_the_store(
