@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from negopipe.evaluation.trace import ADAPTIVE
+from negopipe.evaluation.trace import ADAPTIVE, ORACLE
 from negopipe.report.figures import planner_label, setting_label
 
 Measures = Mapping[str, Any]
@@ -48,7 +48,10 @@ RELIABILITY = {"ahead": "more reliably than", "level": "as reliably as", "behind
 
 
 def _rivals(evaluation: Mapping[str, Mapping[str, Measures]]) -> list[str]:
-    return [planner for planner in next(iter(evaluation.values())) if planner != ADAPTIVE]
+    """Those who drove in all settings; the oracle, who knows what no driver does, is nobody's rival."""
+    first, *others = evaluation.values()
+    drove = [planner for planner in first if all(planner in measures for measures in others)]
+    return [planner for planner in drove if planner not in (ADAPTIVE, ORACLE)]
 
 
 def _weakest(evaluation: Mapping[str, Mapping[str, Measures]], planner: str) -> tuple[str, Measures]:
@@ -87,7 +90,7 @@ def _overall(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[
 
 def headline(setting: str, measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> tuple[str, str]:
     """The adaptive planner set against the best of the others, by success rate, then by reward."""
-    rivals = [planner for planner in measures if planner != ADAPTIVE]
+    rivals = _rivals({setting: measures})
     if not rivals:
         return f"{setting_label(setting)}: {_achievement(ADAPTIVE, measures[ADAPTIVE])}.", ""
     best = max(rivals, key=lambda planner: (measures[planner]["success_rate"], measures[planner]["reward"]))

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from measured import measures, versus
 
-from negopipe.report.headlines import headline, headlines
+from negopipe.report.headlines import headline, headlines, standing
 
 
 @pytest.mark.parametrize(
@@ -44,6 +44,16 @@ def test_headline_names_the_best_rival_and_does_without_one() -> None:
     assert "15.0 s" in detail
     alone, _ = headline("yield", {"adaptive": measures(0.9, 0.1, None)}, {})
     assert "never arrives" in alone
+
+
+def test_the_oracle_is_nobodys_rival_and_may_have_driven_in_one_setting_only() -> None:
+    planners = {"adaptive": measures(0.9, 0.0, 14.0), "fixed_6": measures(0.2, 0.0, 15.0)}
+    evaluation = {"yield": planners, "push": {**planners, "oracle": measures(1.0, 0.0, 12.0)}}
+    differences = {"fixed_6": versus(-0.7), "oracle": versus(0.1)}
+    verdicts = headlines(evaluation, dict.fromkeys(evaluation, differences))
+    assert len(verdicts) == 3
+    assert all("fixed 6" in verdict and "oracle" not in verdict for verdict, _ in verdicts)
+    assert standing(evaluation) == "ahead"
 
 
 def test_first_headline_is_about_all_settings() -> None:
