@@ -13,10 +13,16 @@ if TYPE_CHECKING:
 
 def what_it_is(config: "RunConfig") -> str:
     """Where the policy comes from and what it is put to."""
+    return f"{config.name}, seed {config.seed}: {_origin(config)}{_trial(config)}"
+
+
+def _trial(config: "RunConfig") -> str:
+    if "evaluate" not in config.stages:
+        return ""
     settings = [setting_label(setting).lower() for setting in config.evaluation.settings]
     rivals = [planner_label(name) for name in config.evaluation.rivals] or ["nobody"]
     tasks = f"{config.evaluation.n_episodes:,} held-out tasks each of {' and '.join(settings)}"
-    return f"{config.name}, seed {config.seed}: {_origin(config)} Evaluated on {tasks}, against {', '.join(rivals)}."
+    return f" Evaluated on {tasks}, against {', '.join(rivals)}."
 
 
 def _origin(config: "RunConfig") -> str:

@@ -38,7 +38,8 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     title = f"runs {config.runs}"
     sections = [_configs(short), _training(groups)]
     tested = [claim for claim in (curriculum_claim(found),) if claim is not None]
-    write_claims(run, tested)
+    if tested:
+        write_claims(run, tested)
     page = build_page(title, verdicts, chapters, tested, sections, provenance(config.seed, run.folder))
     path = run.folder / "report.html"
     write_whole(path, page.encode())

@@ -53,3 +53,7 @@ def test_a_policy_from_elsewhere_is_named() -> None:
     )
     assert "the policy of checkpoint pretrained." in what_it_is(config)
     assert what_it_is(config).endswith("each of mixture and mixture switching, against nobody.")
+
+
+def test_what_is_not_evaluated_is_not_said_to_be() -> None:
+    assert what_it_is(compose_config(["+experiment=yield", "stages=[train]"])).endswith("both 573,440.")
