@@ -1,7 +1,8 @@
 """Learning curves of a sweep: `python -m negopipe.sweeping.learning_curves outputs/<name> --by algorithm.kind`.
 
 Groups the runs by keys of their config and draws, over decisions and over wall time, the mean of each group's seeds
-and the range of all of them. Writes learning_curves.csv, .png and .svg to `outputs/sweeps/<name>/`.
+and the range of all of them. Writes learning_curves.csv, .png and .svg to `outputs/sweeps/<name>/`. Given such a csv
+instead of the runs' folder, it draws the figure again, beside it.
 """
 
 import argparse
@@ -23,6 +24,8 @@ COLORS = ("#00A0A0", "#E09000", "#1B1B4B", "#D64550", *OTHER_COLORS)
 MEASURES = {"success_rate": "success rate", "return_mean": "return"}
 """Columns of history.csv that are drawn, both of the latest 200 episodes, and what they are called."""
 AXES = {"decisions": ("decisions [thousands]", 1e-3), "wall_s": ("wall time [min]", 1 / 60)}
+KEYS = ("group", "seed", *AXES)
+"""Columns of learning_curves.csv beside the measures."""
 N_POINTS = 100
 """Of a curve; seeds are compared at the same points."""
 LOWEST = 1.0
@@ -33,41 +36,66 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0, or 1 after a line that says what is wrong."""
     about = (__doc__ or "").partition("\n")[0]
     parser = argparse.ArgumentParser(prog="python -m negopipe.sweeping.learning_curves", description=about)
-    parser.add_argument("folder", type=Path, help="outputs/<name>: the folder that holds the runs")
-    parser.add_argument("--by", nargs="+", required=True, metavar="KEY", help="of the config: its values are compared")
+    parser.add_argument("source", type=Path, help="outputs/<name>: the folder that holds the runs; or a csv")
+    parser.add_argument("--by", nargs="+", default=[], metavar="KEY", help="of the config: its values are compared")
     parser.add_argument("--sweep", help="only runs with this tag `sweep`")
+    parser.add_argument("--every", type=_positive, default=1, help="keep a row per so many iterations (default: 1)")
     given = parser.parse_args(arguments)
     try:
-        table = read_curves(given.folder, given.by, given.sweep)
+        if given.source.suffix == ".csv":
+            table, target = read_table(given.source), given.source.with_suffix("")
+        else:
+            table = read_curves(given.source, given.by, given.sweep, given.every)
+            target = given.source.parent / "sweeps" / (given.sweep or given.source.name) / "learning_curves"
+            target.parent.mkdir(parents=True, exist_ok=True)
+            table.to_csv(f"{target}.csv", index=False)
     except UserError as error:
         print(error, file=sys.stderr)
         return 1
-    target = given.folder.parent / "sweeps" / (given.sweep or given.folder.name)
-    target.mkdir(parents=True, exist_ok=True)
-    table.to_csv(target / "learning_curves.csv", index=False)
     figure = learning_curves(table)
     for kind in ("png", "svg"):
-        (target / f"learning_curves.{kind}").write_bytes(render(figure, kind))
-    print(f"curves     {target / 'learning_curves.csv'}\nfigure     {target / 'learning_curves.png'}")
+        Path(f"{target}.{kind}").write_bytes(render(figure, kind))
+    print(f"curves     {target}.csv\nfigure     {target}.png")
     return 0
 
 
-def read_curves(folder: Path, by: Sequence[str], sweep: str | None = None) -> pd.DataFrame:
-    """Rows of the runs' history.csv with columns `group` (values of `by`) and `seed`; UserError if there are none."""
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"must be a whole number above 0, got {text}")
+    return int(text)
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """A learning_curves.csv; UserError if it is none."""
+    try:
+        table = pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: no table of learning curves ({error})") from error
+    missing = {*KEYS, *MEASURES} - set(table.columns)
+    if missing:
+        raise UserError(f"{path}: a table of learning curves has a column {min(missing)}")
+    return table
+
+
+def read_curves(folder: Path, by: Sequence[str], sweep: str | None = None, every: int = 1) -> pd.DataFrame:
+    """Each `every`-th row of the runs' history.csv, with columns `group` (values of `by`) and `seed`.
+
+    UserError if there are none.
+    """
     runs = [run for run in read_runs(folder, sweep) if (folder / run.name / HISTORY_NAME).exists()]
     unknown = [key for key in by if not any(key in run.config for run in runs)]
     if not runs:
         raise UserError(f"{folder}: no run in it has a {HISTORY_NAME}")
-    if unknown:
-        raise UserError(f"--by must be keys of the config such as algorithm.kind, got {unknown[0]}")
-    columns = ["decisions", "wall_s", *MEASURES]
+    if unknown or not by:
+        raise UserError(f"--by must be keys of the config such as algorithm.kind, got {(unknown or ['none'])[0]}")
+    columns = [*AXES, *MEASURES]
     tables = [
-        pd.read_csv(folder / run.name / HISTORY_NAME, usecols=columns).assign(
+        pd.read_csv(folder / run.name / HISTORY_NAME, usecols=columns)[every - 1 :: every].assign(
             group=_group(run, by), seed=run.config["seed"]
         )
         for run in runs
     ]
-    return pd.concat(tables, ignore_index=True)[["group", "seed", *columns]]
+    return pd.concat(tables, ignore_index=True)[[*KEYS, *MEASURES]]
 
 
 def _group(run: SweptRun, by: Sequence[str]) -> str:

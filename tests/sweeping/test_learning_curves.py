@@ -57,3 +57,21 @@ def test_the_command_writes_table_and_figure(folder: Path, capsys: pytest.Captur
         history.unlink()
     assert main([str(folder), "--by", "algorithm.rate"]) == 1
     assert "no run in it has a history.csv" in capsys.readouterr().err
+
+
+def test_the_figure_can_be_drawn_again_from_its_table(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(folder), "--by", "algorithm.rate", "--every", "10"]) == 0
+    target = folder.parent / "sweeps" / "yield"
+    table = pd.read_csv(target / "learning_curves.csv")
+    assert table.groupby("group")["decisions"].unique().map(list).tolist() == [[10_000, 20_000, 30_000]] * 2
+    drawn = (target / "learning_curves.png").read_bytes()
+    (target / "learning_curves.png").unlink()
+    assert main([str(target / "learning_curves.csv")]) == 0
+    assert (target / "learning_curves.png").read_bytes() == drawn
+    table.drop(columns="seed").to_csv(target / "other.csv", index=False)
+    assert main([str(target / "other.csv")]) == 1
+    assert "a table of learning curves has a column seed" in capsys.readouterr().err
+    assert main([str(target / "none.csv")]) == 1
+    assert "no table of learning curves" in capsys.readouterr().err
+    assert main([str(folder)]) == 1
+    assert "--by must be keys of the config" in capsys.readouterr().err
