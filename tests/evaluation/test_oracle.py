@@ -17,8 +17,6 @@ from negopipe.evaluation.oracle import Rollouts, Sequences, alike, best_simple, 
 from negopipe.evaluation.planners import by_horizon, sequence_planner
 from negopipe.simulation.state import Task, map_tensors
 
-POPULATION = 4
-
 
 @pytest.fixture(scope="module", autouse=True)
 def few_switches() -> Iterator[None]:
@@ -34,12 +32,12 @@ def rollouts(config: RunConfig, game: Game) -> Rollouts:
     return Rollouts(game, config.policy.horizons_s, config.evaluation.reward)
 
 
-def searched(rollouts: Rollouts, tasks: Task, rounds: int) -> list[Sequences]:
+def searched(rollouts: Rollouts, tasks: Task, rounds: int, population: int = 4) -> list[Sequences]:
     """The best at the start and after each round."""
     random = torch.Generator().manual_seed(0)
     found = [best_simple(rollouts, tasks)]
     for _ in range(rounds):
-        found.append(improve(rollouts, tasks, found[-1], POPULATION, random))
+        found.append(improve(rollouts, tasks, found[-1], population, random))
     return found
 
 
@@ -70,7 +68,7 @@ def test_no_round_makes_it_worse(found: list[Sequences], rollouts: Rollouts, tas
 
 def test_same_seed_same_result(found: list[Sequences], rollouts: Rollouts, tasks: Task) -> None:
     random = torch.Generator().manual_seed(0)
-    again = improve(rollouts, tasks, found[0], POPULATION, random)
+    again = improve(rollouts, tasks, found[0], 4, random)
     assert torch.equal(again.score, found[1].score)
     assert torch.equal(again.actions, found[1].actions)
     one, same, other = (
@@ -118,7 +116,7 @@ def test_it_finds_the_best_of_all_sequences(config: RunConfig, game: Game, tasks
     rollouts = Held(config, game)
     every = torch.tensor(list(product(range(4), repeat=3)))
     tasks = map_tensors(lambda field: field[[0, 3]], tasks)
-    found = searched(rollouts, tasks, rounds=48)
+    found = searched(rollouts, tasks, rounds=12, population=16)
     each = map_tensors(lambda field: field.repeat_interleave(len(every), 0), (tasks, found[0].score))
     exact = rollouts.play(each[0], every.repeat(len(tasks), 1), each[1]).score.reshape(len(tasks), -1).amax(1)
     assert (exact > found[0].score + 0.2).all()  # there is something to find
