@@ -89,7 +89,7 @@ def pipeline(composed: DictConfig) -> float | None:
 
 def run_stages(composed: DictConfig) -> float | None:
     """Check the config, open its run and run its stages in order; returns the objective, None if there is none."""
-    from negopipe.config import as_mapping, load, run_name
+    from negopipe.config import RESULT_NEUTRAL, as_mapping, load, run_name
     from negopipe.identity import source_hash, stage_key
     from negopipe.stages import backend, network_choice
     from negopipe.stages.reuse import take_over_training
@@ -129,6 +129,8 @@ def run_stages(composed: DictConfig) -> float | None:
                 continue
             stage.run(config, run)
             run.mark_finished(name, key)
+        if run.has_begun:
+            run.compare(config.objective, RESULT_NEUTRAL)
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _from_here(run.folder / file_name))

@@ -17,6 +17,7 @@ from pydantic import TypeAdapter
 
 from negopipe.tracking.database import artifact_location, is_served
 from negopipe.tracking.journal import Journal
+from negopipe.tracking.saved_view import save_comparison
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -107,6 +108,8 @@ class Delivery:
                 self._send_table(client, self.folder / first["path"], first["folder"])
             case "checkpoint":
                 self._send_checkpoint(client, first)
+            case "view":
+                save_comparison(client, self.done.experiment_id, first["metrics"], first["left_out"])
             case "end":
                 client.set_terminated(self._run_id, first["status"], first["time_ms"])
 

@@ -8,7 +8,7 @@ import logging
 import os
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from negopipe.tracking.dead_runs import close_dead_runs, process_tags
 from negopipe.tracking.delivery import Delivery
 from negopipe.tracking.journal import Journal
 from negopipe.tracking.metrics_file import merge_into
-from negopipe.tracking.names import cleaned, flatten
+from negopipe.tracking.names import clean_name, cleaned, flatten
 from negopipe.tracking.record import RunRecord, read_record, write_record
 from negopipe.tracking.run_folder import CHECKPOINTS_NAME, CONFIG_NAME, METRICS_NAME, TABLES_NAME, hold, keep, set_aside
 from negopipe.tracking.whole_file import write_whole
@@ -120,6 +120,7 @@ class TrackedRun:
 
     folder: absolute path, created
     accepted: hash of the code whose finished stages count; None = any
+    has_begun: this process has something to tell the store
     """
 
     def __init__(
@@ -132,7 +133,7 @@ class TrackedRun:
         self._delivery = Delivery(folder, self._journal, self._outputs, config.tracking.uri)
         self._last_step, self._logged = _earlier_metrics(self._journal)
         self._client: MlflowClient | None = None
-        self._has_begun = self._is_out_of_reach = False
+        self.has_begun = self._is_out_of_reach = False
         self._n_waiting = 0
         self._sent_s, self._next_try_s = time.monotonic(), 0.0
 
@@ -145,11 +146,12 @@ class TrackedRun:
     def charts(self) -> str | None:
         """Where the dashboard shows the charts of this run and of others like it, once the store knows the run."""
         experiment_id = self._delivery.done.experiment_id
-        return chart_address(experiment_id, self._tracking.uri) if experiment_id else None
+        has_view = any(entry["kind"] == "view" for _, entry in self._journal.after(0))
+        return chart_address(experiment_id, self._tracking.uri, has_view=has_view) if experiment_id else None
 
     def begin(self) -> None:
         """From now on the run is RUNNING in the store. UserError where it can be no store, or a damaged one."""
-        if self._has_begun:
+        if self.has_begun:
             return
         try:
             self._connect()
@@ -159,7 +161,7 @@ class TrackedRun:
         tags = {**self._record.tags, **process_tags(self.folder)}
         experiment, key = self._tracking.experiment, self._record.key
         self._journal.append("begin", experiment=experiment, run_name=self.folder.name, key=key, tags=cleaned(tags))
-        self._has_begun = True
+        self.has_begun = True
         self._log_config()
         self.deliver()
 
@@ -233,6 +235,16 @@ class TrackedRun:
         self._tell("checkpoint", time_ms, path=place, step=step, values=values, registered_model=name)
         self.deliver()
 
+    def compare(self, metrics: Sequence[str], left_out: Collection[str]) -> None:
+        """Offer a view of this run and others like it: the parameters that differ, beside what came of them.
+
+        metrics: names as in metrics.json, `evaluation.yield.adaptive.reward`
+        left_out: parameters that are never shown, with all below them
+        """
+        names = [clean_name(name.replace(".", "/")) for name in metrics]
+        self._tell("view", metrics=names, left_out=sorted(left_out))
+        self.deliver()
+
     def update_metrics_json(self, section: Mapping[str, Any]) -> None:
         """Merge `section` into the folder's metrics.json.
 
@@ -274,7 +286,7 @@ class TrackedRun:
 
     def close(self, status: str) -> None:
         """The end: metrics.json goes to the artifacts, the status becomes final, what waits is sent."""
-        if self._has_begun:
+        if self.has_begun:
             if (self.folder / METRICS_NAME).exists():
                 self._tell("artifact", path=METRICS_NAME, folder="")
             self._tell("end", status=status)

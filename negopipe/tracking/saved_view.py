@@ -1,0 +1,61 @@
+"""A view that MLflow's dashboard offers of an experiment: the runs' parameters that differ, and what came of them.
+
+MLflow keeps a saved view as a tag of the experiment: a name, two times and, as text, the state of its page of runs.
+What a state leaves out the page fills in, so the charts of all metrics follow those that are given here.
+"""
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+VIEW = "comparison"
+"""Id of the view, for addresses."""
+TAG = f"mlflow.sharedViewState.{VIEW}"
+
+N_AXES = 6
+"""Parameters shown at most: more axes than that cannot be read."""
+LONGEST_VALUE = 30
+"""Characters: longer values, of whole lists, are no labels of an axis."""
+MAX_RUNS = 1000
+
+
+def save_comparison(
+    client: "MlflowClient", experiment_id: str, metrics: Sequence[str], left_out: Collection[str]
+) -> None:
+    """Make the view of an experiment anew, from the runs that have all `metrics`.
+
+    metrics: axes of the parallel coordinates
+    left_out: first parts of parameters' names that are no axes; the seed is one where nothing else differs
+    """
+    found = client.search_runs([experiment_id], max_results=MAX_RUNS)
+    params = [run.data.params for run in found if set(metrics) <= set(run.data.metrics)]
+    axes = differing(params, left_out)[:N_AXES] or differing([{"seed": each.get("seed", "")} for each in params], ())
+    state = json.dumps(_state(axes, metrics))
+    time_ms = max(
+        (run.info.start_time for run in found), default=0
+    )  # of the runs, so that telling twice changes nothing
+    view = {"name": VIEW.capitalize(), "createdAt": time_ms, "updatedAt": time_ms, "state": state}
+    client.set_experiment_tag(experiment_id, TAG, json.dumps(view))
+
+
+def differing(params: Sequence[Mapping[str, str]], left_out: Collection[str]) -> list[str]:
+    """Names of parameters that not all have with the same short value, in the order of the first that has them."""
+    names = dict.fromkeys(name for each in params for name in each if name.partition(".")[0] not in left_out)
+    values = {name: {each.get(name, "") for each in params} for name in names}
+    return [name for name, seen in values.items() if len(seen) > 1 and max(map(len, seen)) <= LONGEST_VALUE]
+
+
+def _state(axes: Sequence[str], metrics: Sequence[str]) -> dict[str, Any]:
+    section = {"uuid": VIEW, "name": VIEW, "display": True, "columns": 1, "cardHeight": 420}
+    chart = {"uuid": VIEW, "type": "PARALLEL", "metricSectionId": VIEW, "runsCountToCompare": MAX_RUNS}
+    chart |= {"selectedParams": list(axes), "selectedMetrics": list(metrics), "showAllRuns": True}
+    made_by_hand = {"deleted": False, "isGenerated": False}
+    return {
+        "compareRunSections": [section | made_by_hand | {"isReordered": False}] if axes else [],
+        "compareRunCharts": [chart | made_by_hand] if axes else [],
+        "isAccordionReordered": False,
+        "runsExpanded": {},
+    }
