@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Ablation: a crash that costs 5, as in the paper, or 50, with the curriculum and without it; three seeds, none left out.
-# What ablation_curriculum.sh has trained is taken over.
+# Ablation: a crash that costs 5, as in the paper, or 50; three seeds, none left out. What results.sh or
+# ablation_curriculum.sh has trained is taken over.
 set -euo pipefail
 python -m negopipe -m +experiment=yield name=ablation_reward stages=[train,evaluate] \
-    evaluation/rival=[] evaluation.n_episodes=1000 curriculum=wait_first,none reward=paper,strict seed=1,2,3
+    evaluation/rival=[] evaluation.n_episodes=1000 reward=paper,strict seed=1,2,3
 python -m negopipe name=ablation_reward_report stages=[report] runs=ablation_reward
