@@ -1,10 +1,7 @@
 """The stage: the files of a run become a report; what is missing is said in one line."""
 
-import html
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from browser import BROWSER, in_browser
 from pydantic import TypeAdapter
 from tracked import RecordedRun
 
@@ -126,31 +124,6 @@ def test_a_planner_may_have_driven_the_first_tasks_only(
     shown = {int(text) for text in re.findall(r"episode (\d+): adaptive, fixed", page)}
     assert shown
     assert max(shown) < 3
-
-
-BROWSER = next(
-    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
-)
-PROBE = """<script>
-document.querySelectorAll("details").forEach(part => part.open = true);
-addEventListener("load", () => parent.postMessage({
-  shown: document.documentElement.scrollWidth, width: document.documentElement.clientWidth,
-  images: document.images.length, broken: [...document.images].filter(image => !image.naturalWidth).length}, "*"));
-</script>"""
-FRAME = """<iframe style="width: {width}px; height: 800px; border: 0" srcdoc="{page}"></iframe><pre id="said"></pre>
-<script>onmessage = event => document.getElementById("said").textContent = JSON.stringify(event.data)</script>"""
-
-
-def in_browser(page: Path, width_px: int) -> tuple[dict[str, int], str]:
-    """What the page measures in a window of that width, and what the browser says of it."""
-    framed = page.with_name(f"framed_{width_px}.html")
-    framed.write_text(FRAME.format(width=width_px, page=html.escape(page.read_text() + PROBE)))
-    command = [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]
-    command += ["--virtual-time-budget=10000", f"--user-data-dir={page.parent / 'profile'}", framed.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    said = re.search(r'<pre id="said">(.+?)</pre>', done.stdout)
-    assert said, done.stderr
-    return json.loads(html.unescape(said[1])), done.stderr
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")

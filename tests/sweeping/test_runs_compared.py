@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from browser import BROWSER, in_browser
 from swept import make_run
 from tracked import RecordedRun
 
@@ -107,13 +108,28 @@ def test_what_cannot_be_compared_is_said(outputs: Path) -> None:
         read_groups(group(find_runs(outputs, "yield")))
 
 
-def test_the_stage_writes_a_page(outputs: Path, tmp_path: Path) -> None:
+@pytest.fixture
+def reported(outputs: Path, tmp_path: Path) -> RecordedRun:
     folder = tmp_path / "own"
     folder.mkdir()
     (folder / "config.yaml").write_text("runs: yield\n")
     run = RecordedRun(folder)
     report_runs.run(SimpleNamespace(outputs=str(outputs), runs="yield", seed=1), run)  # type: ignore[arg-type]
-    page = (folder / "report.html").read_text()
+    return run
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
+def test_a_browser_shows_it_without_scrolling_sideways(reported: RecordedRun) -> None:
+    """Long names of configs stand in two tables beside each other, or below each other where there is no room."""
+    for width_px in (360, 1100):
+        measured, log = in_browser(reported.folder / "report.html", width_px)
+        assert measured["broken"] == 0
+        assert measured["shown"] <= measured["width"] <= width_px
+        assert "CONSOLE" not in log
+
+
+def test_the_stage_writes_a_page(reported: RecordedRun) -> None:
+    page = (reported.folder / "report.html").read_text()
     for text in (
         "Over seeds",
         "Every seed",
@@ -123,4 +139,4 @@ def test_the_stage_writes_a_page(outputs: Path, tmp_path: Path) -> None:
     ):
         assert text in page
     assert "The paper's claims" not in page
-    assert run.description.startswith("Push: algorithm.rate=0.2")
+    assert reported.description.startswith("Push: algorithm.rate=0.2")
