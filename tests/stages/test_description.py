@@ -41,7 +41,7 @@ def test_it_says_what_it_is_and_how_it_went(tmp_path: Path, theirs: int, standin
     tell_how_it_went(compose_config(["+experiment=yield", "seed=3"]), run, summary(table) | versus_adaptive(table))
     assert run.tags == {"standing": standing}
     what, over_all, yielding, pushing = run.description.split("\n\n")
-    assert what.startswith("yield, seed 3: a policy trained by acktr, decisions by stage: careful 204,800, both 532,480.")
+    assert what.startswith("yield, seed 3: a policy trained by acktr, decisions by stage: wait 163,840, both 573,440.")
     assert "held-out tasks each of push and yield, against fixed 0\N{NO-BREAK SPACE}s, fixed 2" in what
     assert over_all.startswith("Over all settings the adaptive planner succeeds")
     assert (yielding[:5], pushing[:4]) == ("Yield", "Push")
@@ -56,4 +56,4 @@ def test_a_policy_from_elsewhere_is_named() -> None:
 
 
 def test_what_is_not_evaluated_is_not_said_to_be() -> None:
-    assert what_it_is(compose_config(["+experiment=yield", "stages=[train]"])).endswith("both 532,480.")
+    assert what_it_is(compose_config(["+experiment=yield", "stages=[train]"])).endswith("both 573,440.")
