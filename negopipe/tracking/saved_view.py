@@ -34,9 +34,8 @@ def save_comparison(
     params = [run.data.params for run in found if set(metrics) <= set(run.data.metrics)]
     axes = differing(params, left_out)[:N_AXES] or differing([{"seed": each.get("seed", "")} for each in params], ())
     state = json.dumps(_state(axes, metrics))
-    time_ms = max(
-        (run.info.start_time for run in found), default=0
-    )  # of the runs, so that telling twice changes nothing
+    # the runs' time, not the clock's, so that telling twice changes nothing
+    time_ms = max((run.info.start_time for run in found), default=0)
     view = {"name": VIEW.capitalize(), "createdAt": time_ms, "updatedAt": time_ms, "state": state}
     client.set_experiment_tag(experiment_id, TAG, json.dumps(view))
 
