@@ -5,8 +5,8 @@ which planner is best holds if none of the others is better: for each of them th
 same tasks excludes that. Where an interval leaves it open, the claim is undecided.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -40,12 +40,19 @@ METRES = (1.0, " m")
 
 @dataclass(frozen=True)
 class Finding:
-    """A figure that bears on a claim, in the unit that `text` names; low and high bound its 95 % interval."""
+    """A figure that bears on a claim, in the unit that `text` names.
+
+    low, high: bounds of its 95 % interval
+    verdict: of what the claim wants of this figure; None = it wants nothing of it
+    margin: how far `value` is on the wanted side, in its unit; NaN where nothing is wanted
+    """
 
     text: str
     value: float
     low: float
     high: float
+    verdict: Verdict | None = None
+    margin: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -55,24 +62,34 @@ class Claim:
     number: in the list of reading.md
     words: the paper's
     rule: when it holds
-    findings: the figures that decide it
+    findings: what was measured; the claim holds if all hold of which it wants something
     """
 
     number: int
     words: str
     rule: str
-    verdict: Verdict
     findings: Sequence[Finding]
+
+    @property
+    def verdict(self) -> Verdict:
+        found = {finding.verdict for finding in self.findings} - {None}
+        for verdict in ("does not hold", "undecided", "holds"):
+            if verdict in found:
+                return verdict
+        return "not tested"
+
+    @property
+    def decisive(self) -> Finding | None:
+        """The figure to be shown beside the verdict: the clearest of those against the claim, else the closest."""
+        judged = [finding for finding in self.findings if finding.verdict == self.verdict]
+        return min(judged, key=lambda finding: finding.margin, default=None)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON, which knows no NaN."""
-        plain = asdict(self)
+        plain = {**asdict(self), "verdict": self.verdict, "decisive": self.decisive and self.decisive.text}
         for finding in plain["findings"]:
-            finding |= {name: None if np.isnan(finding[name]) else finding[name] for name in ("value", "low", "high")}
+            finding |= {name: None for name, value in finding.items() if value != value}
         return plain
-
-
-Tested = tuple[Verdict, list[Finding]]
 
 
 class _Evidence:
@@ -132,11 +149,10 @@ def judge_curriculum(rewards: np.ndarray, rewards_without: np.ndarray) -> Claim:
     better = probability_of_improvement(rewards, rewards_without, np.random.default_rng(RANDOM_SEED))
     more = difference_of_means(rewards, rewards_without, np.random.default_rng(RANDOM_SEED))
     findings = [
-        _finding("a training with it has the higher reward", better, PERCENT),
+        _more("a training with it has the higher reward", better, PERCENT, than=0.5, strictly=True),
         _finding("reward with it less that without", more, PLAIN),
     ]
-    verdict: Verdict = "holds" if better.low > 0.5 else "does not hold" if better.high < 0.5 else "undecided"
-    return Claim(len(_CLAIMS), words, rule, verdict, findings)
+    return Claim(len(_CLAIMS), words, rule, findings)
 
 
 def _test(
@@ -145,123 +161,113 @@ def _test(
     words: str,
     rule: str,
     settings: Sequence[str],
-    test: Callable[[_Evidence], Tested] | None,
+    test: Callable[[_Evidence], list[Finding]] | None,
 ) -> Claim:
-    is_tested = test is not None and evidence.has(*settings)
-    verdict, findings = test(evidence) if test is not None and is_tested else ("not tested", [])
-    return Claim(number, words, rule, verdict, findings)
+    findings = test(evidence) if test is not None and evidence.has(*settings) else []
+    return Claim(number, words, rule, findings)
 
 
-def _push_is_completed(evidence: _Evidence) -> Tested:
+def _push_is_completed(evidence: _Evidence) -> list[Finding]:
     share, slower = evidence.succeeds("push"), evidence.ahead("driving_time_s", "push")
-    verdicts = [*(_at_least(each, COMPLETES) for each in share.values()), *_none_better(slower, -1)]
-    return _all(verdicts), [*_told("success of {}", share, PERCENT), *_told("time less that of {}", slower, SECONDS)]
+    completed = _each(_more, "success of {}", share, PERCENT, than=COMPLETES)
+    return completed + _each(_less, "time less that of {}", slower, SECONDS)
 
 
-def _push_suspends_least(evidence: _Evidence) -> Tested:
-    ahead = evidence.ahead("suspend_count", "push")
-    return _all(_none_better(ahead, -1)), _told("suspensions less those of {}", ahead, PLAIN)
+def _push_suspends_least(evidence: _Evidence) -> list[Finding]:
+    return _each(_less, "suspensions less those of {}", evidence.ahead("suspend_count", "push"), PLAIN)
 
 
-def _rewarded_most(setting: str) -> Callable[[_Evidence], Tested]:
-    def test(evidence: _Evidence) -> Tested:
-        ahead = evidence.ahead("reward", setting)
-        return _all(_none_better(ahead, 1)), _told("reward less that of {}", ahead, PLAIN)
+def _rewarded_most(setting: str) -> Callable[[_Evidence], list[Finding]]:
+    def test(evidence: _Evidence) -> list[Finding]:
+        return _each(_more, "reward less that of {}", evidence.ahead("reward", setting), PLAIN)
 
     return test
 
 
-def _only_the_policy_yields(evidence: _Evidence) -> Tested:
+def _only_the_policy_yields(evidence: _Evidence) -> list[Finding]:
     share = evidence.succeeds("yield")
-    others = [_opposite(_at_least(share[planner], 1 - COMPLETES)) for planner in evidence.fixed]
-    return _all([_at_least(share[ADAPTIVE], COMPLETES), *others]), _told("success of {}", share, PERCENT)
+    own, others = {ADAPTIVE: share[ADAPTIVE]}, {planner: share[planner] for planner in evidence.fixed}
+    arrives = _each(_more, "success of {}", own, PERCENT, than=COMPLETES)
+    return arrives + _each(_less, "success of {}", others, PERCENT, than=1 - COMPLETES, strictly=True)
 
 
-def _yield_suspends_between(evidence: _Evidence) -> Tested:
+def _yield_suspends_between(evidence: _Evidence) -> list[Finding]:
     in_yield, in_push = (evidence.measured("suspend_count", s)[ADAPTIVE].to_numpy() for s in ("yield", "push"))
-    more, less = difference_of_means(in_yield, in_push, evidence.rng), evidence.ahead("suspend_count", "yield")
-    findings = [_finding("suspensions in yield less those in push", more, PLAIN)]
-    findings += _told("in yield, suspensions less those of {}", less, PLAIN)
-    return _all([_is_positive(more), *_none_better(less, -1)]), findings
+    more = difference_of_means(in_yield, in_push, evidence.rng)
+    less = evidence.ahead("suspend_count", "yield")
+    findings = [_more("suspensions in yield less those in push", more, PLAIN, strictly=True)]
+    return findings + _each(_less, "in yield, suspensions less those of {}", less, PLAIN)
 
 
-def _behaviour_fits(evidence: _Evidence) -> Tested:
+def _behaviour_fits(evidence: _Evidence) -> list[Finding]:
     push, yield_ = evidence.psi["push"], evidence.psi["yield"]
     stays_negative = rate(~(push > CLEAR_RAD).any(0))
     first = _first(np.abs(yield_) > CLEAR_RAD)
     is_positive_first = np.take_along_axis(yield_, first[None], 0)[0] > CLEAR_RAD
     is_after = np.arange(len(yield_))[:, None] > first
     turns = rate(is_positive_first & ((yield_ < -CLEAR_RAD) & is_after).any(0))
-    verdicts = [_at_least(share, 0.5) for share in (stays_negative, turns)]
-    return _all(verdicts), [
-        _finding("push: episodes in which psi stays negative", stays_negative, PERCENT),
+    return [
+        _more("push: episodes in which psi stays negative", stays_negative, PERCENT, than=0.5),
         _finding("yield: episodes in which psi is positive first", rate(is_positive_first), PERCENT),
-        _finding("yield: ... and negative later", turns, PERCENT),
+        _more("yield: ... and negative later", turns, PERCENT, than=0.5),
     ]
 
 
-def _shorter_is_bolder(evidence: _Evidence) -> Tested:
+def _shorter_is_bolder(evidence: _Evidence) -> list[Finding]:
     first = evidence.measured("is_first", "push", "yield")
     gap = evidence.measured("smallest_gap_m", "push", "yield")
-    pairs = [*zip(evidence.fixed, evidence.fixed[1:], strict=False), (evidence.fixed[0], evidence.fixed[-1])]
-    more, closer = {}, {}
-    for shorter, longer in pairs:
-        pair = f"{_label(shorter)} against {_label(longer)}"
-        more[pair] = mean_difference(first[shorter].to_numpy(), first[longer].to_numpy(), evidence.rng)
+    ends = (evidence.fixed[0], evidence.fixed[-1])
+    more, closer = [], []
+    for shorter, longer in [*zip(evidence.fixed, evidence.fixed[1:], strict=False), ends]:
+        pair, strictly = f"{_label(shorter)} against {_label(longer)}", (shorter, longer) == ends
+        often = mean_difference(first[shorter].to_numpy(), first[longer].to_numpy(), evidence.rng)
+        more.append(_more(f"passes first more often, {pair}", often, PERCENT, strictly=strictly))
         kept = gap[[shorter, longer]].dropna()
-        closer[pair] = mean_difference(kept[longer].to_numpy(), kept[shorter].to_numpy(), evidence.rng)
-    ends = [_is_positive(found[pair]) for found in (more, closer)]
-    findings = [_finding(f"passes first more often, {pair}", found, PERCENT) for pair, found in more.items()]
-    findings += [_finding(f"comes closer, {pair}", found, METRES) for pair, found in closer.items()]
-    return _all([*_none_better(more, 1), *_none_better(closer, 1), *ends]), findings
+        nearer = mean_difference(kept[longer].to_numpy(), kept[shorter].to_numpy(), evidence.rng)
+        closer.append(_more(f"comes closer, {pair}", nearer, METRES, strictly=strictly))
+    return more + closer
 
 
-def _spreads_least(evidence: _Evidence) -> Tested:
+def _spreads_least(evidence: _Evidence) -> list[Finding]:
     reward = evidence.measured("reward", "push", "yield")
     wider = {
         planner: spread_difference(reward[planner].to_numpy(), reward[ADAPTIVE].to_numpy(), evidence.rng)
         for planner in evidence.fixed
     }
-    return _all(_none_better(wider, 1)), _told("spread (std) of the reward of {}, less the policy's", wider, PLAIN)
+    return _each(_more, "spread (std) of the reward of {}, less the policy's", wider, PLAIN)
 
 
-def _none_better(ahead: Mapping[str, Estimate], sign: int) -> list[Verdict]:
-    """Per rival, whether it is not better; sign: 1 if more is better, -1 if less is."""
-    bounds = [(e.low, e.high) if sign > 0 else (-e.high, -e.low) for e in ahead.values()]
-    return [_judge(is_shown=low >= 0, is_refuted=high < 0) for low, high in bounds]
+def _more(text: str, e: Estimate, unit: tuple[float, str], than: float = 0.0, strictly: bool = False) -> Finding:
+    """A figure of which the claim wants that it is at least `than`, or more than that.
+
+    It holds if the whole interval is on that side and does not if the whole interval is on the other.
+    """
+    is_shown = e.low > than if strictly else e.low >= than
+    is_refuted = e.high <= than if strictly else e.high < than
+    return _judged(_finding(text, e, unit), is_shown, is_refuted, unit[0] * (e.value - than))
 
 
-def _at_least(estimate: Estimate, threshold: float) -> Verdict:
-    return _judge(is_shown=estimate.low >= threshold, is_refuted=estimate.high < threshold)
+def _less(text: str, e: Estimate, unit: tuple[float, str], than: float = 0.0, strictly: bool = False) -> Finding:
+    """The same of `than` at most, or less than that."""
+    is_shown = e.high < than if strictly else e.high <= than
+    is_refuted = e.low >= than if strictly else e.low > than
+    return _judged(_finding(text, e, unit), is_shown, is_refuted, unit[0] * (than - e.value))
 
 
-def _is_positive(estimate: Estimate) -> Verdict:
-    return _judge(is_shown=estimate.low > 0, is_refuted=estimate.high <= 0)
+def _judged(finding: Finding, is_shown: bool, is_refuted: bool, margin: float) -> Finding:
+    verdict: Verdict = "holds" if is_shown else "does not hold" if is_refuted else "undecided"
+    return replace(finding, verdict=verdict, margin=margin)
 
 
-def _judge(*, is_shown: bool, is_refuted: bool) -> Verdict:
-    if is_shown:
-        return "holds"
-    return "does not hold" if is_refuted else "undecided"
-
-
-def _opposite(verdict: Verdict) -> Verdict:
-    return {"holds": "does not hold", "does not hold": "holds"}.get(verdict, verdict)  # type: ignore[return-value]
-
-
-def _all(verdicts: Iterable[Verdict]) -> Verdict:
-    """Of several conditions that must all hold."""
-    found = set(verdicts)
-    if "does not hold" in found:
-        return "does not hold"
-    return "undecided" if "undecided" in found else "holds"
-
-
-def _told(text: str, estimates: Mapping[str, Estimate], unit: tuple[float, str]) -> list[Finding]:
-    return [_finding(text.format(_label(planner)), estimate, unit) for planner, estimate in estimates.items()]
+def _each(
+    want: Callable[..., Finding], text: str, estimates: Mapping[str, Estimate], unit: tuple[float, str], **wanted: Any
+) -> list[Finding]:
+    """The same figure of several planners; `text` has {} for their names."""
+    return [want(text.format(_label(planner)), e, unit, **wanted) for planner, e in estimates.items()]
 
 
 def _finding(text: str, e: Estimate, unit: tuple[float, str]) -> Finding:
+    """A figure of which nothing is wanted."""
     scale, name = unit
     return Finding(text + (f" [{name.strip()}]" if name else ""), scale * e.value, scale * e.low, scale * e.high)
 
@@ -280,7 +286,7 @@ def _label(planner: str) -> str:
 
 
 _NONE_BETTER = "for no fixed horizon does the 95 % interval of the difference on the same tasks show it to be better"
-_CLAIMS: Sequence[tuple[str, str, Sequence[str], Callable[[_Evidence], Tested] | None]] = (
+_CLAIMS: Sequence[tuple[str, str, Sequence[str], Callable[[_Evidence], list[Finding]] | None]] = (
     (
         'Push: "all the algorithm could complete driving task in limit time, while the adaptive behavior planner has '
         'better driving efficiency"',

@@ -1,6 +1,7 @@
 """report.html: one self-contained file that says in plain words what a run has shown."""
 
 import base64
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Annotated, Any, Literal
 import jinja2
 from pydantic import Field
 
-from negopipe.evaluation.claims import Claim
+from negopipe.evaluation.claims import Claim, Finding, Verdict
 from negopipe.report.figures import setting_label
 from negopipe.report.headlines import Difference, Measures, Versus
 from negopipe.report.tables import Table, n_episodes, tables
@@ -59,6 +60,15 @@ def chapters(results: Results) -> list[Chapter]:
         )
         for setting, measures in results.evaluation.items()
     ]
+
+
+OF_SEVERAL: Mapping[Verdict, str] = {
+    "holds": "hold",
+    "does not hold": "do not hold",
+    "undecided": "undecided",
+    "not tested": "not tested",
+}
+"""What is said of claims with the same verdict."""
 
 
 @dataclass(frozen=True)
@@ -116,15 +126,28 @@ def build_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["data_uri"] = data_uri
+    environment.filters |= {"data_uri": data_uri, "figure": _figure}
     return environment.get_template("template.html.j2").render(
         name=name,
         headlines=verdicts,
         chapters=chapters,
         claims=claims,
+        tally=_tally(claims),
         sections=sections,
         provenance=provenance,
     )
+
+
+def _tally(claims: Sequence[Claim]) -> str:
+    """How many claims came to which verdict."""
+    counts = Counter(claim.verdict for claim in claims)
+    told = [f"{counts[verdict]} {words}" for verdict, words in OF_SEVERAL.items() if counts[verdict]]
+    return f"Of {len(claims)} claims: {', '.join(told)}."
+
+
+def _figure(finding: Finding) -> str:
+    """With its interval."""
+    return f"{finding.value:.2f} ({finding.low:.2f} to {finding.high:.2f})"
 
 
 def settings_in_order(evaluation: Mapping[str, Any], leading: str) -> list[str]:

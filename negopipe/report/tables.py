@@ -95,7 +95,7 @@ def tables(
     colors = planner_colors(list(measures))
     drawn = [table(caption, columns, measures, label, colors) for caption, columns in tables_of_all.items()]
     if versus:
-        drawn.append(table("Less the adaptive planner, on the same tasks", COMPARED, versus, label, colors))
+        drawn.append(table("Difference from the adaptive planner, on the same tasks", COMPARED, versus, label, colors))
     if regret:
         drawn.append(table("What the reward lacks to the oracle's, on its tasks", LACKED, regret, label, colors))
     return drawn

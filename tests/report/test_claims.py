@@ -103,6 +103,18 @@ def test_what_was_not_driven_is_not_tested(traces: list[Trace]) -> None:
     assert all(claim.verdict == "not tested" for claim in alone.values())
 
 
+def test_the_decisive_figure_is_the_clearest_against_the_claim_else_the_closest(traces: list[Trace]) -> None:
+    drives = {name: dict(planners) for name, planners in DRIVES.items()}
+    drives["push"] |= {"fixed_0": (8.0, 0, 9.0), "fixed_6": (9.0, 1, 12.0)}
+    against, closest = judged(made_up(drives), traces)[3].decisive, judged(made_up(), traces)[3].decisive
+    assert against is not None
+    assert closest is not None
+    assert (against.text, against.verdict) == ("reward less that of fixed 6 s", "does not hold")
+    assert against.margin == pytest.approx(-4, abs=1)
+    assert (closest.text, closest.verdict) == ("reward less that of fixed 0 s", "holds")
+    assert judged(made_up(), traces)[10].decisive is None
+
+
 def test_claims_are_plain_json(traces: list[Trace]) -> None:
     one_each = made_up().groupby(["planner", "setting"]).head(1)
     text = json.dumps([claim.as_dict() for claim in judge_claims(one_each, traces)], allow_nan=False)

@@ -40,7 +40,13 @@ RESULTS = Results(
     {"yield": {}, "push": {}},
 )
 CLAIM = Claim(
-    4, "Nobody <else> arrives", "all others fail", "does not hold", [Finding("success [%]", 69.0, 62.3, 75.0)]
+    4,
+    "Nobody <else> arrives",
+    "all others fail",
+    [
+        Finding("success of fixed 4 s [%]", 69.0, 62.3, 75.0, "does not hold", -64.0),
+        Finding("success of fixed 6 s [%]", 100.0, 98.1, 100.0, "does not hold", -95.0),
+    ],
 )
 
 
@@ -73,7 +79,11 @@ def test_a_claim_shows_its_verdict_and_figures() -> None:
     page = make_page()
     assert '<strong class="does-not-hold">does not hold</strong> Nobody &lt;else&gt; arrives' in page
     assert "It holds if: all others fail." in page
-    assert "<td>69.00</td><td>62.30 to 75.00</td>" in page
+    assert "<td>69.00 (62.30 to 75.00)</td><td>does not hold</td>" in page
+    assert "Of 1 claims: 1 do not hold." in page
+    before_the_rule = page[: page.index("It holds if")]
+    assert "success of fixed 6 s [%]: 100.00 (98.10 to 100.00)" in before_the_rule  # the clearest against it
+    assert "fixed 4 s [%]" not in before_the_rule
 
 
 def test_page_is_one_file() -> None:
