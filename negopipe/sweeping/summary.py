@@ -31,10 +31,11 @@ from negopipe.sweeping.swept_runs import (
     read_runs,
     tabulate,
 )
+from negopipe.tracking.names import without_implied
 
 TABLE_NAME, FIGURE_NAME = "summary.csv", "parallel_coordinates"
 N_SHOWN = 40
-"""Rows of the table that are shown; summary.csv has all."""
+"""Rows of the table that are shown; summary.csv has all, and all keys that differ."""
 N_AXES = 10
 
 
@@ -59,20 +60,20 @@ def summarize(folder: Path, sweep: str | None, objective: list[str] | None, mini
     runs = read_runs(folder, sweep)
     keys = objective or _own_objective(runs)
     table, differing = tabulate(runs, keys, minimize), differing_keys(runs)
+    shown = without_implied(differing, [run.config for run in runs])
     target = folder.parent / "sweeps" / (sweep or folder.name)
     target.mkdir(parents=True, exist_ok=True)
     table.to_csv(target / TABLE_NAME, index=False)
-    _show(table, differing, keys)
+    _show(table, shown, keys)
     print(f"table      {target / TABLE_NAME}")
     if not table[OBJECTIVE].notna().any():
         print(f"best       none: no run has all of {', '.join(keys)}")
         return
     if differing:
-        shown = differing[:N_AXES]
-        figure = parallel_coordinates(table, shown, OBJECTIVE, minimize)
+        figure = parallel_coordinates(table, shown[:N_AXES], OBJECTIVE, minimize)
         for kind in ("png", "svg"):
             (target / f"{FIGURE_NAME}.{kind}").write_bytes(render(figure, kind))
-        left_out = f" (without {', '.join(differing[N_AXES:])})" if differing[N_AXES:] else ""
+        left_out = f" (without {', '.join(shown[N_AXES:])})" if shown[N_AXES:] else ""
         print(f"figure     {target / FIGURE_NAME}.png{left_out}")
     name = table.iloc[0][RUNS].split()[0]
     best = next(run for run in runs if run.name == name)
@@ -99,16 +100,16 @@ def _own_objective(runs: list[SweptRun]) -> list[str]:
     return list(found)
 
 
-def _show(table: pd.DataFrame, differing: Sequence[str], keys: Sequence[str]) -> None:
+def _show(table: pd.DataFrame, shown: Sequence[str], keys: Sequence[str]) -> None:
     view = Table(caption=f"objective: mean of {', '.join(keys)}" if len(keys) > 1 else f"objective: {keys[0]}")
     view.add_column("", justify="right")
-    for key in differing:
+    for key in shown:
         view.add_column(_header(key), overflow="fold")
     for name in (OBJECTIVE, "spread", SEEDS):
         view.add_column(name, justify="right")
     view.add_column(STATUS)
     for place, row in enumerate(table.head(N_SHOWN).to_dict("records"), start=1):
-        values = [_cell(row[key]) for key in differing]
+        values = [_cell(row[key]) for key in shown]
         numbers = [_cell(row[OBJECTIVE]), _cell(row[SPREAD]), str(row[SEEDS])]
         view.add_row(str(place), *map(escape, values), *numbers, row[STATUS])
     console = Console()

@@ -1,7 +1,7 @@
 """Names and parameters as MLflow takes them."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -25,3 +25,20 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def cleaned(values: Mapping[str, T]) -> dict[str, T]:
     """The same values under names that MLflow takes."""
     return {clean_name(key): value for key, value in values.items()}
+
+
+def without_implied(keys: Sequence[str], configs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The keys without those that follow from another: from `algorithm.kind` follow all values of `algorithm` in which
+    configs of one kind do not differ.
+
+    keys: in which the configs differ; configs: flat
+    """
+    kinds = [key for key in keys if key.rpartition(".")[2] == "kind"]
+    return [key for key in keys if not any(_follows(key, kind, configs) for kind in kinds)]
+
+
+def _follows(key: str, kind: str, configs: Sequence[Mapping[str, Any]]) -> bool:
+    if key == kind or not key.startswith(kind.removesuffix("kind")):
+        return False
+    pairs = {(repr(config.get(kind)), repr(config.get(key))) for config in configs}
+    return len(pairs) == len({of_kind for of_kind, _ in pairs})

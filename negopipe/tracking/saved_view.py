@@ -8,6 +8,8 @@ import json
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from negopipe.tracking.names import without_implied
+
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
@@ -41,10 +43,12 @@ def save_comparison(
 
 
 def differing(params: Sequence[Mapping[str, str]], left_out: Collection[str]) -> list[str]:
-    """Names of parameters that not all have with the same short value, in the order of the first that has them."""
+    """Names of parameters that not all have with the same short value, in the order of the first that has them; without
+    those that follow from the others."""
     names = dict.fromkeys(name for each in params for name in each if name.partition(".")[0] not in left_out)
     values = {name: {each.get(name, "") for each in params} for name in names}
-    return [name for name, seen in values.items() if len(seen) > 1 and max(map(len, seen)) <= LONGEST_VALUE]
+    short = [name for name, seen in values.items() if len(seen) > 1 and max(map(len, seen)) <= LONGEST_VALUE]
+    return without_implied(short, params)
 
 
 def _state(axes: Sequence[str], metrics: Sequence[str]) -> dict[str, Any]:

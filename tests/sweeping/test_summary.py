@@ -54,6 +54,20 @@ def test_a_key_that_a_run_lacks_differs(outputs: Path) -> None:
     assert table["dynamics.lag_s"].tolist() == [0.1, None, None, None]
 
 
+def test_what_follows_from_the_kind_of_algorithm_is_not_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    acktr = {"kind": "acktr", "clip": 0.1, "advantage": {"kind": "k_step", "k": 5}}
+    ppo = {"kind": "ppo", "epochs": 4, "advantage": {"kind": "gae"}}
+    for seed, algorithm in enumerate((acktr, ppo, ppo | {"rate": 0.5}), start=1):
+        make_run(tmp_path, seed, 0.0, -1.0, algorithm={"rate": 0.1} | algorithm)
+    assert main([str(tmp_path / "yield")]) == 0
+    header = capsys.readouterr().out.partition("└")[0]
+    assert "kind" in header
+    assert "rate" in header
+    assert not any(word in header for word in ("clip", "epochs", "advantage"))
+
+
 def test_lists_of_mappings_are_flat_and_others_whole() -> None:
     tree = {"stages": [{"n": 1}, {"n": 2}], "horizons": [1, 2], "none": [], "a": {}}
     assert flat(tree) == {"stages.0.n": 1, "stages.1.n": 2, "horizons": [1, 2], "none": [], "a": {}}
