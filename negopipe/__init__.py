@@ -8,8 +8,8 @@ The map, from the bottom up (a part imports only what stands above it here):
     planner/      polynomials, longitudinal and lateral candidates, prediction, frenet (the choice)
     observation/  occupancy grids          reward   Eq. 3
     driver        who drives a vehicle     policy/  the network
-    learning/     rollout, advantage, curriculum, update (what algorithms share), learner; acktr and acktr_adam
-                  (with kfac), a2c and ppo (with adam): tensors only, nothing of the simulator
+    learning/     rollout, advantage, curriculum, demonstrations, update (what algorithms share), learner; acktr and
+                  acktr_adam (with kfac), a2c and ppo (with adam): tensors only, nothing of the simulator
     chunks, env   the game as batched worlds for the learner
     evaluation/   drives held-out tasks: planners, rivals (whom the policy is compared with), episodes, trace, replay;
                   metrics, safety; statistics over tasks and seeds, comparison, claims of the paper

@@ -306,6 +306,16 @@ def _stage_needs(config: RunConfig) -> Iterator[_Need]:
     yield _Need("the evaluation", driven, f"{tasks} {one}")
     if "behaviour_map" in config.stages:
         yield _Need("the map", config.behaviour_map.n_episodes * record, f"behaviour_map.n_episodes {one}")
+    shown = config.curriculum.demonstrations
+    if "train" in config.stages and shown is not None:
+        n_drives = shown.n_tasks * len(config.curriculum.stages[-1].families)
+        n_grids = n_drives * scenario.episode_steps + shown.n_decisions
+        keys = f"curriculum.demonstrations.n_tasks curriculum.demonstrations.n_decisions {one}"
+        grid = seen.n_frames * seen.n_cells**2
+        yield _Need("what is demonstrated", n_grids * grid * 2, f"{keys} observation.n_frames observation.n_cells")
+        n_played = n_drives * max(shown.population, len(config.policy.horizons_s) ** 2)
+        searched = f"curriculum.demonstrations.n_tasks curriculum.demonstrations.population policy.horizons_s {one}"
+        yield _Need("the search for demonstrations", n_played * record, searched)
     if "oracle" in config.stages:
         n_sequences = max(config.oracle.population, len(config.policy.horizons_s) ** 3)
         search = config.oracle.n_episodes * n_sequences * record
@@ -330,17 +340,23 @@ def _check_evaluation(config: RunConfig) -> None:
 
 def _check_oracle(config: RunConfig) -> None:
     """The oracle's tasks are among the evaluated ones, and it may give up on what takes too long."""
-    if "oracle" not in config.stages:
-        return
-    _require("oracle.settings", config.oracle.settings, config.scenario.families, "scenario.families")
-    limit, paid = config.evaluation.n_episodes, config.evaluation.reward
-    if config.oracle.n_episodes > limit:
-        raise UserError(
-            f"oracle.n_episodes must be at most evaluation.n_episodes = {limit}, got {config.oracle.n_episodes}"
-        )
+    if "oracle" in config.stages:
+        _require("oracle.settings", config.oracle.settings, config.scenario.families, "scenario.families")
+        limit = config.evaluation.n_episodes
+        if config.oracle.n_episodes > limit:
+            raise UserError(
+                f"oracle.n_episodes must be at most evaluation.n_episodes = {limit}, got {config.oracle.n_episodes}"
+            )
+        _check_searched("evaluation.reward", config.evaluation.reward, "the stage oracle")
+    if "train" in config.stages and config.curriculum.demonstrations is not None:
+        _check_searched("reward", config.reward, "curriculum.demonstrations")
+
+
+def _check_searched(key: str, paid: RewardConfig, user: str) -> None:
+    """What takes longer is paid less, which a search relies on."""
     if paid.step > 0 or paid.collision > 0 or paid.success < 0:
         raise UserError(
-            "evaluation.reward must have step <= 0, collision <= 0 and success >= 0 for the stage oracle, got "
+            f"{key} must have step <= 0, collision <= 0 and success >= 0 for {user}, got "
             f"{paid.step}, {paid.collision}, {paid.success}"
         )
 

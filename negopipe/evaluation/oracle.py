@@ -35,6 +35,7 @@ BORROWED_CHANCE = 0.3
 """How often a candidate is made of another task's best sequence: what helps in one task often helps in its like."""
 N_ALIKE = 8
 """Tasks that a task borrows from: those that are most like it."""
+SAME_REWARD = 1e-6
 NEVER_S = 100.0
 STYLE_M_PER_S = 10.0
 """What counts as much as a metre of start distance when tasks are compared is a tenth of a second of a style: tasks of
@@ -121,15 +122,15 @@ class Rollouts:
         return (beyond / driven).amin(1).double().clamp(0.0, 0.999)
 
 
-def best_simple(rollouts: Rollouts, tasks: Task) -> Sequences:
+def best_simple(rollouts: Rollouts, tasks: Task, may_switch_twice: bool = True) -> Sequences:
     """[N]: the best of each task's sequences of no switch, one or two, where the search starts."""
     fixed = torch.arange(rollouts.n_actions, device=tasks.family.device)
     step = torch.arange(rollouts.n_steps, device=fixed.device)
     best = _best(rollouts, tasks, fixed[:, None].expand(len(tasks), -1, len(step)), None)
-    for switches in (*[(at,) for at in SWITCH_STEPS], *SWITCH_PAIRS):
-        parts = torch.cartesian_prod(*[fixed] * (1 + len(switches)))  # [R, parts]
+    for steps in (*((at,) for at in SWITCH_STEPS), *(SWITCH_PAIRS if may_switch_twice else ())):
+        parts = torch.cartesian_prod(*[fixed] * (1 + len(steps)))  # [R, parts]
         parts = parts[(parts.diff(dim=1) != 0).all(1)]  # else one with fewer switches, which has been played
-        part = sum((step >= at).long() for at in switches)
+        part = sum((step >= at).long() for at in steps)
         found = _best(rollouts, tasks, parts[:, part].expand(len(tasks), -1, -1), best.score)
         best = where_world(found.score >= best.score, found, best)
     return best
@@ -145,16 +146,41 @@ def improve(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, r
     return where_world(found.score >= best.score, found, best)
 
 
+def simplify(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, random: Generator) -> Sequences:
+    """One round: [N] sequences of no less reward than `best` [N] that switch less often, where some are come upon.
+
+    A search leaves switches behind that have no effect. In each of a task's `population` candidates one piece between
+    two switches is driven with the horizon of the piece before or after it.
+    """
+    played = _play(rollouts, tasks, _merged(best, population, random), best.reward - SAME_REWARD)
+    is_as_good = played.reward >= (best.reward - SAME_REWARD).repeat_interleave(population)
+    n = torch.where(is_as_good & played.score.isfinite(), n_switches(played), rollouts.n_steps)
+    rows = torch.arange(len(tasks), device=n.device) * population + n.reshape(-1, population).argmin(1)
+    return where_world(n[rows] < n_switches(best), map_tensors(lambda field: field[rows], played), best)
+
+
+def n_switches(sequences: Sequences) -> Tensor:
+    """[R] int64: how often the horizon changes before the episode ends."""
+    is_change = sequences.actions.diff(dim=1) != 0
+    step = torch.arange(1, 1 + is_change.shape[1], device=is_change.device)
+    return (is_change & (step < sequences.n_steps[:, None])).sum(1)
+
+
 def _best(rollouts: Rollouts, tasks: Task, actions: Tensor, at_least: Tensor | None) -> Sequences:
     """[N]: the best of each task's `actions` [N, C, T]; those below `at_least` [N] need not be played to the end."""
     n_tasks, n_each, _ = actions.shape
     if at_least is None:
         at_least = torch.full((n_tasks,), -torch.inf, dtype=torch.float64, device=actions.device)
-    each = map_tensors(lambda field: field.repeat_interleave(n_each, 0), (tasks, at_least))
-    played = rollouts.play(each[0], actions.flatten(0, 1), each[1])
+    played = _play(rollouts, tasks, actions, at_least)
     first = torch.arange(n_tasks, device=actions.device) * n_each
     rows = first + played.score.reshape(n_tasks, n_each).argmax(1)
     return map_tensors(lambda field: field[rows], played)
+
+
+def _play(rollouts: Rollouts, tasks: Task, actions: Tensor, at_least: Tensor) -> Sequences:
+    """[N * C]: each task's `actions` [N, C, T]; those below `at_least` [N] need not be played to the end."""
+    each = map_tensors(lambda field: field.repeat_interleave(actions.shape[1], 0), (tasks, at_least))
+    return rollouts.play(each[0], actions.flatten(0, 1), each[1])
 
 
 def alike(tasks: Task) -> Tensor:
@@ -199,6 +225,18 @@ def _write_over(actions: Tensor, n_steps: Tensor, n_actions: int, random: Genera
     step = torch.arange(actions.shape[2], device=actions.device)
     horizon = (_uniform(actions, random) * n_actions).long()
     return torch.where((step >= start) & (step < start + length), horizon, actions)
+
+
+def _merged(best: Sequences, population: int, random: Generator) -> Tensor:
+    """[N, C, T] int64: `best` [N] with one piece driven like a neighbour, that of a random decision that counts."""
+    actions = best.actions[:, None].expand(-1, population, -1)
+    piece = torch.nn.functional.pad((actions.diff(dim=2) != 0).long().cumsum(2), (1, 0))
+    at = (_uniform(actions, random) * best.n_steps[:, None, None]).long()
+    is_inside = piece == piece.gather(2, at)
+    before = is_inside.long().argmax(2, keepdim=True) - 1
+    after = before + is_inside.sum(2, keepdim=True) + 1
+    like = torch.where(_uniform(actions, random) < 0.5, before, after).clamp(0, actions.shape[2] - 1)
+    return torch.where(is_inside, actions.gather(2, like), actions)
 
 
 def _shift(actions: Tensor, n_steps: Tensor, random: Generator) -> Tensor:

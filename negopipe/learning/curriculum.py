@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from negopipe.learning.demonstrations import DemonstrationsConfig
 from negopipe.reward import RewardConfig
 from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
 from negopipe.simulation.scenario import Families, ScenarioConfig
@@ -54,12 +55,14 @@ class CurriculumConfig:
         iterations that are left, so that a training has sum K_i iterations in any case
     starts: of all stages
     rewards: of stages, by name, that pay otherwise than the run's reward
+    demonstrations: null = the policy learns from its own decisions alone
     """
 
     stages: Annotated[tuple[CurriculumStageConfig, ...], Field(min_length=1)]
     advance: AdvanceConfig | None
     starts: StartsConfig
     rewards: dict[Label, RewardConfig]
+    demonstrations: DemonstrationsConfig | None
 
     def reward(self, stage: CurriculumStageConfig, otherwise: RewardConfig) -> RewardConfig:
         """What a stage pays."""

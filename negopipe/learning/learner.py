@@ -14,6 +14,7 @@ from negopipe.learning.a2c import A2cConfig, a2c
 from negopipe.learning.acktr import Acktr, AcktrConfig
 from negopipe.learning.acktr_adam import AcktrAdam, AcktrAdamConfig
 from negopipe.learning.advantage import estimate_advantage
+from negopipe.learning.demonstrations import Demonstrations
 from negopipe.learning.ppo import PpoConfig, ppo
 from negopipe.learning.rollout import Rollout
 from negopipe.learning.update import Algorithm, Decisions, minibatches
@@ -43,11 +44,19 @@ def build_algorithm(policy: ActorCritic, config: AnyAlgorithmConfig, generator: 
 class Learner:
     """Owns what learning needs beside the policy's weights, and changes those in place.
 
-    generator: shuffles the minibatches and samples the Fisher matrix's targets; on the policy's device
+    generator: shuffles the minibatches, samples the Fisher matrix's targets and what is demonstrated; on the policy's
+        device
+    demonstrations: shown to the policy beside its own decisions
     """
 
-    def __init__(self, policy: ActorCritic, config: AnyAlgorithmConfig, generator: Generator) -> None:
-        self.policy, self.config, self.generator = policy, config, generator
+    def __init__(
+        self,
+        policy: ActorCritic,
+        config: AnyAlgorithmConfig,
+        generator: Generator,
+        demonstrations: Demonstrations | None = None,
+    ) -> None:
+        self.policy, self.config, self.generator, self.demonstrations = policy, config, generator, demonstrations
         self.algorithm = build_algorithm(policy, config, generator)
         self.return_moments = torch.zeros(2)
         self.n_rollouts = 0
@@ -66,6 +75,9 @@ class Learner:
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
         fields = (rollout.observation, rollout.action, rollout.log_prob, advantage, returns)
         decisions = Decisions(*(field.flatten(0, 1) for field in fields))
+        shown = self.demonstrations and self.demonstrations.show(self.policy, progress, self.generator)
+        if shown:
+            decisions = decisions + shown
         metrics = [
             self.algorithm.step(decisions[index], progress)
             for _ in range(config.n_epochs)

@@ -83,6 +83,10 @@ class Decisions:
     def __getitem__(self, index: Tensor) -> "Decisions":
         return Decisions(*(getattr(self, field.name).index_select(0, index) for field in fields(self)))
 
+    def __add__(self, more: "Decisions") -> "Decisions":
+        pairs = ((getattr(self, field.name), getattr(more, field.name)) for field in fields(self))
+        return Decisions(*(torch.cat(pair) for pair in pairs))
+
 
 @dataclass(frozen=True)
 class Outputs:

@@ -95,15 +95,15 @@ def drive_rival(config: "RunConfig", game: Game, rival: Rival, tasks: Task, name
 
 
 def read_oracle(path: Path) -> pd.DataFrame:
-    """An oracle.csv; UserError if there is none, or if it holds no horizons."""
+    """An oracle.csv without the rows that hold no horizons; UserError if there is none, or only such rows."""
     if not path.is_file():
         raise UserError(
             f"evaluation.oracle must be an oracle.csv as +experiment=oracle writes it, got {path}: no such file"
         )
     table = pd.read_csv(path, keep_default_na=False)
-    if not {"setting", "episode", "horizons", "reward"} <= set(table.columns):
+    if not {"setting", "episode", "horizons", "reward"} <= set(table.columns) or (table["horizons"] == "").all():
         raise UserError(f"evaluation.oracle must be an oracle.csv with a column horizons, got {path}")
-    return table
+    return table[table["horizons"] != ""]
 
 
 def _drive_oracle(config: "RunConfig", game: Game, tasks: Task, found: pd.DataFrame, setting: str) -> Trace:

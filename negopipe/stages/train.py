@@ -3,6 +3,7 @@
 import logging
 import math
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from torch import Tensor, nn
@@ -16,13 +17,14 @@ from negopipe.nested import put_under, take_from
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import named_tensors, with_tensors
+from negopipe.stages.demonstrations import demonstrations
 from negopipe.stages.description import what_it_is
 from negopipe.stages.interruption import AskedToStop
 from negopipe.stages.learning_curve import MEANS_OF_EPISODES, LearningCurve
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, device_of, load_policy, save_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
-from negopipe.tracking.run_folder import HISTORY_NAME, SNAPSHOTS_NAME, TRAINING_EPISODES_NAME
+from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME, HISTORY_NAME, SNAPSHOTS_NAME, TRAINING_EPISODES_NAME
 from negopipe.tracking.snapshots import Snapshots
 
 if TYPE_CHECKING:
@@ -39,7 +41,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     A run that was stopped goes on from its newest snapshot, and ends as if it had never been stopped.
     """
     run.set_description(what_it_is(config))
-    training = Training(config)
+    training = Training(config, run.folder)
     snapshots = Snapshots(run.folder / SNAPSHOTS_NAME, config.tracking.n_snapshots)
     training.go_on_from(snapshots)
     last_s = time.monotonic()
@@ -66,16 +68,19 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
 class Training:
     """Algorithm 1, one iteration at a time; its state can be taken and put back between iterations.
 
+    folder: where demonstrations are kept, so that nobody has to search for them twice
     n_total, n_done: iterations of all stages together
     is_at_stage_end: the iteration just done was the last of its stage
     """
 
-    def __init__(self, config: "RunConfig") -> None:
+    def __init__(self, config: "RunConfig", folder: Path | None = None) -> None:
         device, algorithm = device_of(config), config.algorithm
+        self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)  # from here on time counts
         game, self.policy = build(config)
         if config.checkpoint is not None:
             load_policy(find_checkpoint(config.checkpoint, config), self.policy, config)
-        self.learner = Learner(self.policy, algorithm, generator(config.seed, "updates", device))
+        shown = demonstrations(config, game, folder)
+        self.learner = Learner(self.policy, algorithm, generator(config.seed, "updates", device), shown)
         tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
         self.n_steps = algorithm.n_steps
         self.curriculum, self._reward = Curriculum(config.curriculum), config.reward
@@ -86,7 +91,6 @@ class Training:
         self.running = RunningEpisodes.start(algorithm.n_worlds, device)
         self.weights_before = _copy(self.policy)
         self.is_at_stage_end = False
-        self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)
 
     @property
     def n_total(self) -> int:
@@ -153,8 +157,9 @@ def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> No
     curve = training.curve
     row = curve.rows[-1]
     curve.write(run.folder)
-    for name in (HISTORY_NAME, TRAINING_EPISODES_NAME):
-        run.log_artifact(run.folder / name)
+    for name in (HISTORY_NAME, TRAINING_EPISODES_NAME, DEMONSTRATIONS_NAME):
+        if (run.folder / name).is_file():
+            run.log_artifact(run.folder / name)
     save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, row["decisions"])
     is_final = training.n_done == training.n_total
     run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row), is_final)

@@ -17,6 +17,7 @@ log = logging.getLogger("negopipe")
 METRICS_NAME = "metrics.json"
 HISTORY_NAME = "history.csv"
 TRAINING_EPISODES_NAME = "training_episodes.csv"
+DEMONSTRATIONS_NAME = "demonstrations.csv"
 SNAPSHOTS_NAME = "snapshots"
 """Folder of a run in which an unfinished training is kept."""
 CHECKPOINTS_NAME = "checkpoints"

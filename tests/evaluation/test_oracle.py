@@ -13,7 +13,16 @@ from negopipe.config import RunConfig
 from negopipe.env import Game
 from negopipe.evaluation import oracle
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.oracle import Rollouts, Sequences, alike, best_simple, candidates, improve
+from negopipe.evaluation.oracle import (
+    Rollouts,
+    Sequences,
+    alike,
+    best_simple,
+    candidates,
+    improve,
+    n_switches,
+    simplify,
+)
 from negopipe.evaluation.planners import by_horizon, sequence_planner
 from negopipe.simulation.state import Task, map_tensors
 
@@ -146,6 +155,29 @@ def test_candidates_change_decisions_that_count(rollouts: Rollouts, found: list[
     for task, n in enumerate(best.n_steps.tolist()):
         assert is_changed[task, :, :n].any(0).all()
         assert is_changed[task, :, :n].any(1).float().mean() > 0.6  # a piece may get the horizon that it had
+
+
+def test_switches_without_effect_are_taken_out(rollouts: Rollouts, found: list[Sequences], tasks: Task) -> None:
+    """What two horizons do alike is driven with one of them; nothing is lost by it."""
+    step = torch.arange(rollouts.n_steps)
+    flickering = torch.where(step % 2 == 0, found[0].actions, (found[0].actions + 1) % 4)
+    late = torch.where(step >= found[0].n_steps[:, None] - 8, flickering, found[0].actions)  # both are past by then
+    best = played = rollouts.play(tasks, late, none_given_up(len(tasks)))
+    assert (n_switches(played) > n_switches(found[0])).any()
+    random = torch.Generator().manual_seed(0)
+    for _ in range(3):
+        best = simplify(rollouts, tasks, best, 6, random)
+    assert (n_switches(best) <= n_switches(played)).all()
+    assert n_switches(best).sum() < n_switches(played).sum()
+    assert (best.reward >= played.reward).all()
+    again = rollouts.play(tasks, best.actions, none_given_up(len(tasks)))
+    assert torch.equal(again.reward, best.reward)
+
+
+def test_switches_are_counted_until_the_end() -> None:
+    actions = torch.tensor([[0, 1, 1, 2, 0], [3, 3, 3, 3, 0]])
+    zero = torch.zeros(2, dtype=torch.float64)
+    assert n_switches(Sequences(actions, torch.tensor([4, 4]), zero, zero)).tolist() == [2, 0]
 
 
 def test_tasks_borrow_from_their_like(tasks: Task, found: list[Sequences]) -> None:

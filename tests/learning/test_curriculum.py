@@ -27,7 +27,7 @@ def stages_of(curriculum: Curriculum, successes: list[bool]) -> str:
 
 @pytest.mark.parametrize("successes", [[], [True], [False] * 5])
 def test_without_advance_every_stage_takes_its_iterations(successes: list[bool]) -> None:
-    assert stages_of(Curriculum(CurriculumConfig(STAGES, None, STARTS, {})), successes) == "aabbbc"
+    assert stages_of(Curriculum(CurriculumConfig(STAGES, None, STARTS, {}, None)), successes) == "aabbbc"
 
 
 @pytest.mark.parametrize(
@@ -42,16 +42,16 @@ def test_without_advance_every_stage_takes_its_iterations(successes: list[bool])
 )
 def test_a_mastered_stage_ends_early(successes: list[bool], expected: str) -> None:
     advance = AdvanceConfig(success_rate=0.6, n_episodes=3)
-    assert stages_of(Curriculum(CurriculumConfig(STAGES, advance, STARTS, {})), successes) == expected
+    assert stages_of(Curriculum(CurriculumConfig(STAGES, advance, STARTS, {}, None)), successes) == expected
 
 
 def test_says_when_the_stage_changes() -> None:
-    curriculum = Curriculum(CurriculumConfig(STAGES, None, STARTS, {}))
+    curriculum = Curriculum(CurriculumConfig(STAGES, None, STARTS, {}, None))
     assert [curriculum.count([]) for _ in range(6)] == [False, True, False, False, True, False]
 
 
 def test_goes_on_where_it_stopped() -> None:
-    config = CurriculumConfig(STAGES, AdvanceConfig(success_rate=1.0, n_episodes=4), STARTS, {})
+    config = CurriculumConfig(STAGES, AdvanceConfig(success_rate=1.0, n_episodes=4), STARTS, {}, None)
     for n_before in range(6):
         whole, first, second = (Curriculum(config) for _ in range(3))
         for _ in range(n_before):
@@ -65,5 +65,5 @@ def test_goes_on_where_it_stopped() -> None:
 
 def test_a_stage_may_pay_otherwise() -> None:
     usual, dear = RewardConfig(-0.25, -5.0, 10.0), RewardConfig(-0.25, -50.0, 10.0)
-    config = CurriculumConfig(STAGES, None, STARTS, {"a": dear})
+    config = CurriculumConfig(STAGES, None, STARTS, {"a": dear}, None)
     assert [config.reward(stage, usual) for stage in STAGES] == [dear, usual, usual]
