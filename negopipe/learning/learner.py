@@ -76,7 +76,7 @@ class Learner:
         fields = (rollout.observation, rollout.action, rollout.log_prob, advantage, returns)
         decisions = Decisions(*(field.flatten(0, 1) for field in fields))
         shown = self.demonstrations and self.demonstrations.show(self.policy, progress, self.generator)
-        if shown:
+        if shown is not None:
             decisions = decisions + shown
         metrics = [
             self.algorithm.step(decisions[index], progress)
