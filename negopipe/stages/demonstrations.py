@@ -44,7 +44,7 @@ def demonstrations(config: "RunConfig", game: Game, folder: Path | None) -> Demo
         if path is not None:
             write_whole(path, table.to_csv(index=False).encode())
     else:
-        table = pd.read_csv(path)
+        table = pd.read_csv(path, dtype={"horizons": str})  # `0` is a text, too
     texts = {name: table.loc[table["family"] == name, "horizons"].tolist() for name in tasks}
     seen = [_replay(config, game, drawn, texts[name]) for name, drawn in tasks.items()]
     observation, action = (torch.cat(parts) for parts in zip(*seen, strict=True))
