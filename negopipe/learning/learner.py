@@ -75,7 +75,7 @@ class Learner:
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
         fields = (rollout.observation, rollout.action, rollout.log_prob, advantage, returns)
         decisions = Decisions(*(field.flatten(0, 1) for field in fields))
-        shown = self.demonstrations and self.demonstrations.show(self.policy, progress, self.generator)
+        shown = None if self.demonstrations is None else self.demonstrations.show(self.policy, progress, self.generator)
         if shown is not None:
             decisions = decisions + shown
         metrics = [
