@@ -31,7 +31,15 @@ def _origin(config: "RunConfig") -> str:
     n_decisions = config.algorithm.n_worlds * config.algorithm.n_steps
     stages = ", ".join(f"{stage.name} {stage.n_iterations * n_decisions:,}" for stage in config.curriculum.stages)
     start = f" on from checkpoint {config.checkpoint}" if config.checkpoint else ""
-    return f"a policy trained by {config.algorithm.kind}{start}, decisions by stage: {stages}."
+    return f"a policy trained by {config.algorithm.kind}{start}, decisions by stage: {stages}{_shown(config)}."
+
+
+def _shown(config: "RunConfig") -> str:
+    demonstrations = config.curriculum.demonstrations
+    if demonstrations is None:
+        return ""
+    n_tasks = demonstrations.n_tasks * len(config.curriculum.stages[-1].families)
+    return f", shown what a search that knows everything finds on {n_tasks} training tasks"
 
 
 def tell_how_it_went(config: "RunConfig", run: "TrackedRun", results: dict[str, Any]) -> None:

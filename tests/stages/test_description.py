@@ -57,3 +57,8 @@ def test_a_policy_from_elsewhere_is_named() -> None:
 
 def test_what_is_not_evaluated_is_not_said_to_be() -> None:
     assert what_it_is(compose_config(["+experiment=yield", "stages=[train]"])).endswith("both 573,440.")
+
+
+def test_what_was_shown_is_said() -> None:
+    what = what_it_is(compose_config(["+experiment=yield", "stages=[train]", "curriculum=shown"]))
+    assert what.endswith(": full 409,600, shown what a search that knows everything finds on 128 training tasks.")
