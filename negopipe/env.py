@@ -122,10 +122,11 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
 def _compile(fn: Callable) -> Callable:
     """Without guards, which cost as much as a tenth of the work: `InChunks` keeps shapes and dtypes, and nothing that a
     game is made of ever changes. Compiled code belongs to a code object; so that nobody else's is taken without
-    guards to tell, every function gets one of its own.
+    guards to tell, every function gets one of its own. In one thread: a chunk is too small to gain from more.
     """
     fn.__code__ = fn.__code__.replace()
-    return torch.compile(fn, dynamic=False, options={"guard_filter_fn": torch.compiler.skip_all_guards_unsafe})
+    no_guards = torch.compiler.skip_all_guards_unsafe
+    return torch.compile(fn, dynamic=False, options={"guard_filter_fn": no_guards, "cpp.threads": 1})
 
 
 def has_compiler() -> bool:

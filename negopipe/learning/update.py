@@ -16,7 +16,7 @@ from torch import Generator, Tensor
 
 from negopipe.learning.advantage import AdvantageConfig
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of
-from negopipe.schema import Fraction, NonNegativeFloat, PositiveInt, schema
+from negopipe.schema import Fraction, NonNegativeFloat, PositiveInt, Real, schema
 
 
 @schema
@@ -28,7 +28,8 @@ class UpdateConfig:
     minibatch_size: about so many decisions per update
     gamma: discount per decision
     advantage: how it is estimated
-    value_coefficient, entropy_coefficient: c_V, c_H
+    value_coefficient, entropy_coefficient: c_V, c_H; with c_H < 0 the policy settles on its most probable actions,
+        which are what is evaluated
     return_decay: weight of the old return statistics when a rollout comes in; smaller at the start
     final_step_share: the steps shrink linearly with the progress of training, to this share at its end
     final_entropy_share: so does c_H, to this share
@@ -42,7 +43,7 @@ class UpdateConfig:
     gamma: Fraction
     advantage: AdvantageConfig
     value_coefficient: NonNegativeFloat
-    entropy_coefficient: NonNegativeFloat
+    entropy_coefficient: Real
     return_decay: Fraction
     final_step_share: Fraction
     final_entropy_share: Fraction

@@ -17,6 +17,7 @@ from negopipe.report.figures import render
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import Task
+from negopipe.stages.backend import one_thread
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import game_of
 
@@ -65,6 +66,7 @@ def map_tasks(config: "RunConfig", game: Game, setting: str, style_s: float) -> 
     return TaskSampler(config.scenario, {setting: in_one_style}, stream).draw(config.behaviour_map.n_episodes)
 
 
+@one_thread()
 def _drive(config: "RunConfig", game: Game, tasks: Task, horizon_s: float, setting: str) -> Trace:
     names = (fixed_name(horizon_s), setting)
     return drive_episodes(

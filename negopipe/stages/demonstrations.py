@@ -19,6 +19,7 @@ from negopipe.learning.demonstrations import Demonstrations, DemonstrationsConfi
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task
+from negopipe.stages.backend import one_thread
 from negopipe.stages.progress import ProgressLine
 from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME
 from negopipe.tracking.whole_file import write_whole
@@ -61,6 +62,7 @@ def demonstrated_tasks(config: "RunConfig", wanted: DemonstrationsConfig, device
     }
 
 
+@one_thread()
 def _search(config: "RunConfig", wanted: DemonstrationsConfig, game: Game, tasks: dict[str, Task]) -> pd.DataFrame:
     """A row per task: family, reward and horizons."""
     rollouts, found = Rollouts(game, config.policy.horizons_s, config.reward), []

@@ -24,6 +24,7 @@ from negopipe.policy.actor_critic import ActorCritic
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler, pair_styles
 from negopipe.simulation.state import Task, map_tensors
+from negopipe.stages.backend import one_thread
 from negopipe.stages.description import tell_how_it_went
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, load_policy
@@ -87,6 +88,7 @@ def _drive(config: "RunConfig", game: Game, policy: ActorCritic, tasks: Task, na
     return drive_episodes(game, ego, tasks, n_worlds, paid, names, is_in_step=is_drawn)
 
 
+@one_thread()
 def drive_rival(config: "RunConfig", game: Game, rival: Rival, tasks: Task, names: tuple[str, str]) -> Trace:
     """The first of the tasks, as many as it drives."""
     driven = map_tensors(lambda field: field[: rival.n_episodes], tasks)
@@ -106,6 +108,7 @@ def read_oracle(path: Path) -> pd.DataFrame:
     return table[table["horizons"] != ""]
 
 
+@one_thread()
 def _drive_oracle(config: "RunConfig", game: Game, tasks: Task, found: pd.DataFrame, setting: str) -> Trace:
     """What a search found for tasks of a setting; what it returns shows whether it was found for them."""
     if found["episode"].tolist() != list(range(len(found))) or len(found) > len(tasks):

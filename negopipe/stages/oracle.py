@@ -18,6 +18,7 @@ from negopipe.evaluation.planners import by_horizon, fixed_name, sequence_planne
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.seeding import generator
 from negopipe.simulation.state import EGO, Task, map_tensors
+from negopipe.stages.backend import one_thread
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import game_of
@@ -54,6 +55,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     shutil.rmtree(run.folder / PARTS_NAME)
 
 
+@one_thread()
 def _search(
     config: "RunConfig", game: Game, run: "TrackedRun", setting: str, part: Path, progress: ProgressLine
 ) -> None:

@@ -82,6 +82,14 @@ def test_final_shares_act_with_progress(algorithm: str, key: str) -> None:
     assert torch.equal(weights(start), weights(same))
 
 
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_negative_weight_of_the_entropy_makes_a_policy_decided(algorithm: str) -> None:
+    weights_of_entropy = [f"algorithm.entropy_coefficient={c}" for c in (-1.0, 0.0)]
+    configs = [config_of(algorithm, *FASTER[algorithm], weight) for weight in weights_of_entropy]
+    decided, neutral = (train(config, 20)[2][-1]["entropy"] for config in configs)
+    assert decided < neutral
+
+
 def test_lambda_acts() -> None:
     low, high = (
         train(config_of("acktr", "algorithm/advantage=gae", f"algorithm.advantage.gae_lambda={share}"), 2)[0]

@@ -4,10 +4,12 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
+from negopipe.env import build_game
 from negopipe.errors import UserError
 from negopipe.gym_env import compose_config
-from negopipe.stages import backend
+from negopipe.stages import backend, evaluate
 
 
 def test_auto_is_settled_once_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,3 +34,19 @@ def test_a_compiler_that_is_gone_is_said(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(backend, "has_compiler", lambda: False)
     with pytest.raises(UserError, match=r"compile must be off .* got on"):
         backend.settle(compose_config(), tmp_path)
+
+
+def test_what_simulates_alone_does_so_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    used: list[int] = []
+    monkeypatch.setattr(evaluate, "drive_episodes", lambda *_: used.append(torch.get_num_threads()))
+    config = compose_config(["+experiment=yield", "n_threads=2", "evaluation.n_episodes=2"])
+    n_before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        game = build_game(config)
+        tasks = evaluate.held_out_tasks(config, game, "yield")
+        evaluate.drive_rival(config, game, config.evaluation.rivals["fixed_2"], tasks, ("fixed_2", "yield"))
+        used.append(torch.get_num_threads())
+    finally:
+        torch.set_num_threads(n_before)
+    assert used == [1, 2]
