@@ -16,7 +16,19 @@ from torch import Generator, Tensor
 
 from negopipe.learning.advantage import AdvantageConfig
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of
-from negopipe.schema import Fraction, NonNegativeFloat, PositiveInt, Real, schema
+from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt, schema
+
+
+@schema
+class SettlingConfig:
+    """The end of a training in which a decided policy pays: what is drawn in training comes to be its most probable
+    actions, which are what is evaluated.
+
+    start: share of the training after which c_H is -coefficient
+    """
+
+    start: Fraction
+    coefficient: PositiveFloat
 
 
 @schema
@@ -28,11 +40,11 @@ class UpdateConfig:
     minibatch_size: about so many decisions per update
     gamma: discount per decision
     advantage: how it is estimated
-    value_coefficient, entropy_coefficient: c_V, c_H; with c_H < 0 the policy settles on its most probable actions,
-        which are what is evaluated
+    value_coefficient, entropy_coefficient: c_V, c_H
     return_decay: weight of the old return statistics when a rollout comes in; smaller at the start
     final_step_share: the steps shrink linearly with the progress of training, to this share at its end
     final_entropy_share: so does c_H, to this share
+    settling: null = c_H keeps its sign to the end
     n_probe: decisions of the minibatch on which the KL of an update is measured
     """
 
@@ -43,10 +55,11 @@ class UpdateConfig:
     gamma: Fraction
     advantage: AdvantageConfig
     value_coefficient: NonNegativeFloat
-    entropy_coefficient: Real
+    entropy_coefficient: NonNegativeFloat
     return_decay: Fraction
     final_step_share: Fraction
     final_entropy_share: Fraction
+    settling: SettlingConfig | None
     n_probe: PositiveInt
 
     @model_validator(mode="after")
@@ -61,6 +74,8 @@ class UpdateConfig:
 
     def entropy_weight(self, progress: float) -> float:
         """c_H at that time."""
+        if self.settling is not None and progress >= self.settling.start:
+            return -self.settling.coefficient
         return self.entropy_coefficient * (1 - (1 - self.final_entropy_share) * progress)
 
 

@@ -1,6 +1,7 @@
 """The evaluate stage: the policy and the planners that it is compared with, on the same held-out tasks."""
 
 import logging
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +29,7 @@ from negopipe.stages.backend import one_thread
 from negopipe.stages.description import tell_how_it_went
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, load_policy
+from negopipe.stages.workers import n_processes, side_by_side
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 
 if TYPE_CHECKING:
@@ -38,6 +40,8 @@ log = logging.getLogger("negopipe")
 
 CHARTED = ("success_rate", "collision_rate", "timeout_rate", "driving_time_s", "reward")
 """Measures of which the store gets a chart for every setting and planner."""
+Driven = tuple[pd.DataFrame, Trace]
+"""Of one planner in one setting: what is measured, and the first drives."""
 SAME_RETURN = 1e-3
 """Returns this close are of the same drive; steps cost more."""
 
@@ -47,24 +51,18 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     checkpoint = checkpoint_of(config, run)
     game, policy = build(config)
     load_policy(checkpoint, policy, config)
-    planners = [ADAPTIVE, *config.evaluation.rivals]
     oracle = None if config.evaluation.oracle is None else read_oracle(Path(config.evaluation.oracle))
-    traces, tables = [], []
-    with ProgressLine("evaluate", len(planners) * len(config.evaluation.settings)) as progress:
-        for setting in config.evaluation.settings:
-            tasks = held_out_tasks(config, game, setting)
-            for name in planners:
-                trace = _drive(config, game, policy, tasks, (name, setting))
-                tables.append(measure(config, trace))
-                traces.append(trace.first(config.evaluation.n_traced))
-                progress.advance(f"{setting}, {name}")
-            if oracle is not None and (oracle["setting"] == setting).any():
-                trace = _drive_oracle(config, game, tasks, oracle[oracle["setting"] == setting], setting)
-                tables.append(measure(config, trace))
-                traces.append(trace.first(config.evaluation.n_traced))
+    jobs = _jobs(config, game, policy, oracle)
+    names = list(jobs)
+    n = n_processes(config.device, int(config.n_threads))
+    if n > 1:
+        _warm_up(config, game, policy)
+    with ProgressLine("evaluate", len(jobs)) as progress:
+        done = side_by_side(list(jobs.values()), n, lambda index: progress.advance(", ".join(names[index])))
+    tables, traces = zip(*done, strict=True)
     table = pd.concat(tables, ignore_index=True)
     table.to_csv(run.folder / "episodes.csv", index=False)
-    save_traces(run.folder / "traces.npz", traces)
+    save_traces(run.folder / "traces.npz", list(traces))
     summary = metrics.summary(table)
     results = summary | versus_adaptive(table) | regret(table)
     run.update_metrics_json(results)
@@ -72,6 +70,35 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     run.log_metrics(_scalars(summary), step=0)
     tell_how_it_went(config, run, results)
     _say(summary)
+
+
+def _jobs(
+    config: "RunConfig", game: Game, policy: ActorCritic, oracle: pd.DataFrame | None
+) -> dict[tuple[str, str], Callable[[], Driven]]:
+    """By setting and planner what drives it there."""
+    jobs: dict[tuple[str, str], Callable[[], Driven]] = {}
+    for setting in config.evaluation.settings:
+        tasks = held_out_tasks(config, game, setting)
+        for name in (ADAPTIVE, *config.evaluation.rivals):
+            jobs[setting, name] = partial(
+                _measured, config, partial(_drive, config, game, policy, tasks, (name, setting))
+            )
+        found = None if oracle is None else oracle[oracle["setting"] == setting]
+        if found is not None and len(found):
+            drive = partial(_drive_oracle, config, game, tasks, found, setting)
+            jobs[setting, ORACLE] = partial(_measured, config, drive)
+    return jobs
+
+
+def _measured(config: "RunConfig", drive: Callable[[], Trace]) -> Driven:
+    trace = drive()
+    return measure(config, trace), trace.first(config.evaluation.n_traced)
+
+
+def _warm_up(config: "RunConfig", game: Game, policy: ActorCritic) -> None:
+    """Compile before processes are forked: else each of them would."""
+    first = map_tensors(lambda field: field[:1], held_out_tasks(config, game, config.evaluation.settings[0]))
+    _drive(config, game, policy, first, (ADAPTIVE, config.evaluation.settings[0]))
 
 
 def _drive(config: "RunConfig", game: Game, policy: ActorCritic, tasks: Task, names: tuple[str, str]) -> Trace:
@@ -108,7 +135,6 @@ def read_oracle(path: Path) -> pd.DataFrame:
     return table[table["horizons"] != ""]
 
 
-@one_thread()
 def _drive_oracle(config: "RunConfig", game: Game, tasks: Task, found: pd.DataFrame, setting: str) -> Trace:
     """What a search found for tasks of a setting; what it returns shows whether it was found for them."""
     if found["episode"].tolist() != list(range(len(found))) or len(found) > len(tasks):

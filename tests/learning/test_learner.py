@@ -83,9 +83,9 @@ def test_final_shares_act_with_progress(algorithm: str, key: str) -> None:
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_a_negative_weight_of_the_entropy_makes_a_policy_decided(algorithm: str) -> None:
-    weights_of_entropy = [f"algorithm.entropy_coefficient={c}" for c in (-1.0, 0.0)]
-    configs = [config_of(algorithm, *FASTER[algorithm], weight) for weight in weights_of_entropy]
+def test_settling_makes_a_policy_decided(algorithm: str) -> None:
+    settling = [f"algorithm.settling={value}" for value in ("{start: 0.0, coefficient: 1.0}", "null")]
+    configs = [config_of(algorithm, *FASTER[algorithm], value) for value in settling]
     decided, neutral = (train(config, 20)[2][-1]["entropy"] for config in configs)
     assert decided < neutral
 

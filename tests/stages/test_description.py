@@ -61,4 +61,4 @@ def test_what_is_not_evaluated_is_not_said_to_be() -> None:
 
 def test_what_was_shown_is_said() -> None:
     what = what_it_is(compose_config(["+experiment=yield", "stages=[train]", "curriculum=shown"]))
-    assert what.endswith(": full 409,600, shown what a search that knows everything finds on 128 training tasks.")
+    assert what.endswith(": full 327,680, shown what a search that knows everything finds on 128 training tasks.")
