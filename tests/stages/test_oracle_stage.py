@@ -30,7 +30,7 @@ TINY = (
 
 
 def tiny(*overrides: str) -> RunConfig:
-    return compose_config(["device=cpu", *TINY, *overrides])
+    return compose_config(["device=cpu", "n_threads=1", *TINY, *overrides])
 
 
 @pytest.fixture(scope="module")
