@@ -54,15 +54,24 @@ def drive_episodes(
     is_in_step: the driver is asked for all worlds of a batch at every decision, also for those whose episode is over;
         else for the running ones only, which saves their time
     """
-    social: list[Driver] = [HorizonDriver(own_style, game.plan)] * game.simulator.scenario.n_social
     batches = [
         map_tensors(lambda field, i=first: field[i : i + n_worlds], tasks) for first in range(0, len(tasks), n_worlds)
     ]
-    parts = [
-        _record(game, [make_ego(batch.noise_seed), *social], batch, reward_config, is_in_step) for batch in batches
-    ]
+    parts = [_record(game, _drivers(game, make_ego, batch), batch, reward_config, is_in_step) for batch in batches]
     joined = {name: np.concatenate([part[name] for part in parts], axis=EPISODE_AXIS[name]) for name in parts[0]}
     return Trace(planner=names[0], family=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
+
+
+def decide_once(game: Game, make_ego: MakeDriver, tasks: Task) -> None:
+    """Let everybody make a first decision in `tasks`: all that driving takes is compiled then."""
+    world = game.simulator.reset(tasks)
+    game.step(world, drive_together(_drivers(game, make_ego, tasks), game.perceive(world)).state)
+
+
+def _drivers(game: Game, make_ego: MakeDriver, tasks: Task) -> list[Driver]:
+    """Of all seats, in their order."""
+    social = HorizonDriver(own_style, game.plan)
+    return [make_ego(tasks.noise_seed), *[social] * game.simulator.scenario.n_social]
 
 
 def _record(

@@ -68,7 +68,7 @@ def prepare(config: "RunConfig") -> None:
     torch.set_num_threads(int(config.n_threads))
     keep_freed_memory()
     if config.compile == "on":
-        _forget_compiled()
+        _set_up_compiler()
     if config.device == "cuda":
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
@@ -88,11 +88,14 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(n_threads)
 
 
-def _forget_compiled() -> None:
-    """Make room: a sweep's jobs share a process, and each compiles its own scenario."""
+def _set_up_compiler() -> None:
+    """Make room, since a sweep's jobs share a process and each compiles its own scenario; and compile in the thread
+    that asks, since a forked process would wait for ever for threads that only its parent has.
+    """
     dynamo = importlib.import_module("torch._dynamo")  # takes seconds, which only a compiled run should wait for
     dynamo.reset()
     dynamo.config.fail_on_recompile_limit_hit = True  # rather than going on uncompiled, many times slower
+    importlib.import_module("torch._inductor").config.compile_threads = 1
 
 
 def keep_freed_memory() -> None:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import pandas as pd
 from torch import Tensor
 
-from negopipe.driver import HorizonDriver
+from negopipe.driver import HorizonDriver, MakeDriver
 from negopipe.env import Game
 from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.comparison import regret, versus_adaptive
-from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.episodes import decide_once, drive_episodes
 from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.planners import adaptive_planner
 from negopipe.evaluation.replay import replay
@@ -96,23 +96,31 @@ def _measured(config: "RunConfig", drive: Callable[[], Trace]) -> Driven:
 
 
 def _warm_up(config: "RunConfig", game: Game, policy: ActorCritic) -> None:
-    """Compile before processes are forked: else each of them would."""
+    """Compile what every planner needs before processes are forked: else each of them would."""
     first = map_tensors(lambda field: field[:1], held_out_tasks(config, game, config.evaluation.settings[0]))
-    _drive(config, game, policy, first, (ADAPTIVE, config.evaluation.settings[0]))
+    decide_once(game, _adaptive(config, game, policy), first)
+    for rival in config.evaluation.rivals.values():
+        decide_once(game, partial(rival.driver, game), first)
 
 
 def _drive(config: "RunConfig", game: Game, policy: ActorCritic, tasks: Task, names: tuple[str, str]) -> Trace:
     """The planner names[0]: the policy or one of the rivals."""
     if names[0] != ADAPTIVE:
         return drive_rival(config, game, config.evaluation.rivals[names[0]], tasks, names)
-    is_drawn = config.evaluation.action == "sample"
+    ego, n_worlds, paid = _adaptive(config, game, policy), config.evaluation.n_worlds, config.evaluation.reward
+    return drive_episodes(game, ego, tasks, n_worlds, paid, names, is_in_step=_is_drawn(config))
 
+
+def _adaptive(config: "RunConfig", game: Game, policy: ActorCritic) -> MakeDriver:
     def ego(chance: Tensor) -> HorizonDriver:
-        numbers = chance if is_drawn else None
+        numbers = chance if _is_drawn(config) else None
         return HorizonDriver(adaptive_planner(policy, game, config.policy.horizons_s, numbers), game.plan)
 
-    n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
-    return drive_episodes(game, ego, tasks, n_worlds, paid, names, is_in_step=is_drawn)
+    return ego
+
+
+def _is_drawn(config: "RunConfig") -> bool:
+    return config.evaluation.action == "sample"
 
 
 @one_thread()

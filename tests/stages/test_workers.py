@@ -12,6 +12,8 @@ import pytest
 import torch
 
 from negopipe.errors import UserError
+from negopipe.gym_env import compose_config
+from negopipe.stages import backend
 from negopipe.stages.workers import n_processes, side_by_side
 
 
@@ -45,6 +47,18 @@ def test_an_error_of_a_job_is_the_error_of_all_and_nobody_is_waited_for() -> Non
 def test_a_process_that_is_killed_is_an_error() -> None:
     with pytest.raises(BrokenProcessPool):
         side_by_side([lambda: os.kill(os.getpid(), signal.SIGKILL), lambda: None], 2, lambda _: None)
+
+
+def test_what_was_not_compiled_before_is_compiled_by_the_processes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They hung for ever where a compiler's thread of their parent was to do it."""
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))  # nothing has been compiled on this machine yet
+    backend.prepare(compose_config(["device=cpu", "compile='on'", "n_threads=1"]))
+    doubled, squared = (torch.compile(fn, dynamic=False) for fn in (lambda x: 2 * x, lambda x: x * x))
+    assert doubled(torch.ones(3)).tolist() == [2.0] * 3
+    results = side_by_side([lambda: squared(torch.full((3,), 3.0)).tolist()] * 2, 2, lambda _: None)
+    assert results == [[9.0] * 3] * 2
 
 
 def test_processes_end_with_the_one_that_they_work_for() -> None:
