@@ -23,7 +23,7 @@ _SAMPLE = 4 * 5 + 12  # four derivatives, each a row times three numbers; limits
 _PREDICT = _ROUTE + 13  # route, fading offset, the viewer's frame
 _CROSSING = 32  # first and last column of a box in a row of cells
 _WORD = 13  # the same as bits of one machine word
-_CELL = 3  # shift, mask, narrow
+_CELL = 1  # shift, mask, product and mask of four at a time
 
 _STATE_FLOATS = 12  # position 2, yaw, speed, acceleration, curvature; of the vehicle and of its plan
 _POSE_FLOATS = 4  # with the speed

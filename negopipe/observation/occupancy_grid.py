@@ -26,6 +26,10 @@ FAR_M = 1000.0
 WORD_BITS = 28
 """Columns per machine word; three words hold the paper's 84 columns."""
 
+NIBBLE_BITS = 4
+SPREAD, LOWEST_BITS = 0x00204081, 0x01010101
+"""A nibble times the first, and of that the bits of the second: its four bits, each in a byte of its own."""
+
 
 @schema
 class ObservationConfig:
@@ -71,7 +75,7 @@ class OccupancyGrid:
         cells = torch.arange(n, device=device)
         self._ahead = (n - cells - 0.5) * config.cell_along_m - config.behind_m  # [H] m, row centres
         self._word_start = torch.arange(0, n, WORD_BITS, device=device)[:, None]  # [K, 1] first column of each word
-        self._bits = torch.arange(WORD_BITS, device=device, dtype=torch.int32)
+        self._shifts = torch.arange(0, WORD_BITS, NIBBLE_BITS, device=device, dtype=torch.int32)
         self._static = _static_boxes(road)  # fields [R], world frame
 
     def draw(self, perception: Perception) -> Tensor:
@@ -101,10 +105,11 @@ class OccupancyGrid:
         return reduce(torch.bitwise_or, span.unbind(-3))
 
     def _cells(self, rows: Tensor) -> Tensor:
-        """Bits [..., K, H] -> cells [..., H, W] uint8."""
+        """Bits [..., K, H] -> cells [..., H, W] uint8, four at a time (the lowest byte of a word is its first)."""
         words = rows.transpose(-1, -2)[..., None]
-        cells = torch.bitwise_right_shift(words, self._bits).bitwise_and(1).to(torch.uint8)
-        return cells.flatten(-2)[..., : self.config.n_cells]
+        nibbles = torch.bitwise_right_shift(words, self._shifts).bitwise_and((1 << NIBBLE_BITS) - 1)
+        cells = (nibbles * SPREAD).bitwise_and(LOWEST_BITS)
+        return cells.flatten(-2).view(torch.uint8)[..., : self.config.n_cells]
 
     def _columns(self, boxes: Boxes) -> tuple[Tensor, Tensor]:
         """First column and the one after the last whose centre is inside, for each row, [..., R, H] float32.
