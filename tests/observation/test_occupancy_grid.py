@@ -94,6 +94,17 @@ def test_every_vehicle_is_drawn(three_social_config: RunConfig, three_social: Ga
     assert int((three != none)[0, 0].sum()) > 150
 
 
+@pytest.mark.parametrize("fewer", [2, 54])
+def test_a_smaller_grid_is_the_middle_of_a_larger_one(config: RunConfig, game: Game, fewer: int) -> None:
+    perception = game.perceive(some_worlds(config, game, 10)).of(EGO)
+    scenario, n_cells = config.scenario, config.observation.n_cells - fewer
+    smaller = OccupancyGrid(
+        replace(config.observation, n_cells=n_cells), game.simulator.road, scenario.vehicle, scenario.dt_s
+    )
+    middle = slice(fewer // 2, fewer // 2 + n_cells)
+    assert (smaller.draw(perception) == game.draw(perception)[..., fewer:, middle]).all()
+
+
 @pytest.mark.parametrize(("key", "value"), [("cell_along_m", 0.7), ("cell_across_m", 0.2), ("behind_m", 10.0)])
 def test_options_act(config: RunConfig, game: Game, key: str, value: float) -> None:
     world = some_worlds(config, game, 10)
