@@ -15,6 +15,8 @@ from negopipe.simulation.state import AT_REST_MPS, EGO, NEAREST
 
 MOVING_MPS = 0.5
 """Above this speed a vehicle moves; in between it keeps what it was."""
+MEANS = ("suspend_count", "suspend_time_s", "full_braking_count", "reward")
+"""Columns of `episodes` whose means over all episodes are told."""
 SAFETY = ("smallest_gap_m", "smallest_ttc_s", "largest_decel_mps2", "largest_jerk_mps3")
 """Columns of `negopipe.evaluation.safety` whose means are told."""
 
@@ -115,11 +117,12 @@ def summary(table: pd.DataFrame) -> dict[str, Any]:
 
     success_rate, collision_rate, deadlock_rate, timeout_rate (deadlocks included), arrival_rate (the ego reached its
     target), ego_first_rate (the ego passed first): shares of the episodes; of the first two also the bounds of the
-    Wilson interval, success_low, success_high and so on. driving_time_s: mean over arrivals, None if there are none.
-    suspend_count, suspend_time_s, reward: means over all episodes. n_episodes. Of tables with the columns of
-    `negopipe.evaluation.safety` also smallest_gap_m, smallest_ttc_s, largest_decel_mps2 and largest_jerk_mps3, means
-    over the episodes that have one, and avoidable_rate: the share of all episodes that end in a collision which the
-    ego could have avoided.
+    Wilson interval, success_low, success_high and so on. driving_time_s of the ego, social_time_s: means over arrivals,
+    None if there are none. suspend_count, suspend_time_s, full_braking_count, reward: means over all episodes.
+    n_episodes. Of tables with the columns of `negopipe.evaluation.safety` also smallest_gap_m, smallest_ttc_s,
+    largest_decel_mps2 and largest_jerk_mps3, means over the episodes that have one; and of all episodes the shares that
+    end in a collision which the ego could have avoided (avoidable_rate), by who could: avoidable_by_ego_rate (alone),
+    avoidable_by_social_rate (alone), avoidable_by_both_rate.
     """
     evaluation: dict[str, dict[str, Any]] = {}
     for (setting, planner), rows in table.groupby(["setting", "planner"], sort=False):
@@ -130,7 +133,6 @@ def summary(table: pd.DataFrame) -> dict[str, Any]:
 def _measures(rows: pd.DataFrame) -> dict[str, float | int | None]:
     ended = {outcome: rate((rows["outcome"] == outcome).to_numpy()) for outcome in OUTCOMES}
     share = {outcome: estimate.value for outcome, estimate in ended.items()}
-    arrived = rows["driving_time_s"].dropna()
     return {
         "success_rate": share["success"],
         "success_low": ended["success"].low,
@@ -140,20 +142,20 @@ def _measures(rows: pd.DataFrame) -> dict[str, float | int | None]:
         "collision_high": ended["collision"].high,
         "timeout_rate": share["deadlock"] + share["timeout"],
         "deadlock_rate": share["deadlock"],
-        "arrival_rate": len(arrived) / len(rows),
+        "arrival_rate": float(rows["driving_time_s"].notna().mean()),
         "ego_first_rate": float((rows["passes_first"] == "ego").mean()),
-        "driving_time_s": float(arrived.mean()) if len(arrived) else None,
-        "suspend_count": float(rows["suspend_count"].mean()),
-        "suspend_time_s": float(rows["suspend_time_s"].mean()),
-        "reward": float(rows["reward"].mean()),
+        **{name: _mean(rows[name]) for name in ("driving_time_s", "social_time_s")},
+        **{name: float(rows[name].mean()) for name in MEANS},
         "n_episodes": len(rows),
         **(_safety_measures(rows) if "avoidable_by" in rows else {}),
     }
 
 
 def _safety_measures(rows: pd.DataFrame) -> dict[str, float | None]:
-    is_avoidable = rows["avoidable_by"].isin(["ego", "both"])
-    return {**{name: _mean(rows[name]) for name in SAFETY}, "avoidable_rate": float(is_avoidable.mean())}
+    share = {who: float((rows["avoidable_by"] == who).mean()) for who in ("ego", "social", "both")}
+    by_whom = {f"avoidable_by_{who}_rate": value for who, value in share.items()}
+    measured = {name: _mean(rows[name]) for name in SAFETY}
+    return {**measured, "avoidable_rate": share["ego"] + share["both"], **by_whom}
 
 
 def _mean(values: pd.Series) -> float | None:

@@ -26,19 +26,25 @@ def headlines(
     rivals = _rivals(evaluation)
     if len(evaluation) < 2 or not rivals:
         return by_setting
-    return [_overall(evaluation, rivals), *by_setting]
+    return [_overall(evaluation, versus, rivals), *by_setting]
 
 
-def standing(evaluation: Mapping[str, Mapping[str, Measures]]) -> str:
+def standing(evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[str, Mapping[str, Versus]]) -> str:
     """Against the best of the others: ahead | level | behind; alone if there are none.
 
-    Every planner is taken by its weakest setting. The settings may differ, so the policy is ahead where its interval
-    lies above the other's.
+    Every planner is taken by its weakest setting. Where that is the same for both, the difference on the same tasks
+    decides; else the policy is ahead where its interval lies above the other's.
     """
     rivals = _rivals(evaluation)
     if not rivals:
         return "alone"
-    ours, theirs = _weakest(evaluation, ADAPTIVE)[1], _weakest(evaluation, _best(evaluation, rivals))[1]
+    best = _best(evaluation, rivals)
+    (setting, ours), (their_setting, theirs) = (_weakest(evaluation, planner) for planner in (ADAPTIVE, best))
+    if setting == their_setting:
+        difference = versus[setting][best]["success"]
+        if _includes_zero(difference):
+            return "level"
+        return "behind" if difference["value"] > 0 else "ahead"
     if ours["success_low"] > theirs["success_high"]:
         return "ahead"
     return "behind" if ours["success_high"] < theirs["success_low"] else "level"
@@ -68,13 +74,15 @@ def _best(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[str
     return max(rivals, key=rank)
 
 
-def _overall(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[str]) -> tuple[str, str]:
+def _overall(
+    evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[str, Mapping[str, Versus]], rivals: Sequence[str]
+) -> tuple[str, str]:
     """Who gets through whatever comes."""
     best = _best(evaluation, rivals)
     weakest = {planner: _weakest(evaluation, planner) for planner in (ADAPTIVE, best)}
     figures = (
-        f"{planner_label(planner)} succeeds in at least "
-        f"{100 * measures['success_rate']:.1f} % of the episodes ({setting_label(setting).lower()})"
+        f"{planner_label(planner)} succeeds in {100 * measures['success_rate']:.1f} % of the episodes of "
+        f"{setting_label(setting).lower()}"
         for planner, (setting, measures) in weakest.items()
     )
     rewards = ", ".join(
@@ -82,10 +90,10 @@ def _overall(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[
         for setting, each in evaluation.items()
     )
     verdict = (
-        f"Over all settings the adaptive planner succeeds {RELIABILITY[standing(evaluation)]} "
+        f"Over all settings the adaptive planner succeeds {RELIABILITY[standing(evaluation, versus)]} "
         f"{planner_label(best)}, the best of the others."
     )
-    return verdict, f"{'; '.join(figures).capitalize()}. Reward: {rewards}."
+    return verdict, f"Where each is weakest, {'; '.join(figures)}. Reward: {rewards}."
 
 
 def headline(setting: str, measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> tuple[str, str]:
@@ -98,7 +106,16 @@ def headline(setting: str, measures: Mapping[str, Measures], versus: Mapping[str
     verdict = f"{setting_label(setting)}: {_verdict(versus[best], planner_label(best))}."
     parts = (_achievement(ADAPTIVE, ours), f"{_achievement(best, theirs)} (the best of the others)")
     n_tasks = versus[best]["success"]["n_tasks"]
-    return verdict, f"{'; '.join(parts).capitalize()}. Differences on the same {n_tasks} tasks, with 95 % intervals."
+    told = [*parts, *_rewarded(versus[best]["reward"])]
+    return verdict, f"{'; '.join(told).capitalize()}. Differences on the same {n_tasks} tasks, with 95 % intervals."
+
+
+def _rewarded(difference: Difference) -> list[str]:
+    """By how much the policy is rewarded otherwise than the other, if more than chance says so."""
+    if _includes_zero(difference):
+        return []
+    which = "lower" if difference["value"] > 0 else "higher"
+    return [f"the adaptive planner's reward is {_interval(difference, 1, 2)} {which}"]
 
 
 def _verdict(versus: Versus, rival: str) -> str:

@@ -90,25 +90,29 @@ def _stacked_bars(axis: Axes, share: pd.DataFrame) -> None:
 
 @styled
 def success_by_style(table: pd.DataFrame) -> Figure:
-    """Share of successes of every planner against every style of the social driver."""
-    planners = settings_and_planners(table)[1]
-    rate = 100 * table.assign(is_success=table["outcome"] == "success").pivot_table(
-        index="planner", columns="style_horizon_s", values="is_success"
-    )
-    rate = rate.reindex(index=planners)
-    figure = Figure((WIDTH_IN, 1.0 + 0.34 * len(planners)), layout="constrained")
-    axis = figure.subplots()
+    """Share of successes of every planner against every style of the social driver, one panel per setting."""
+    settings, planners = settings_and_planners(table)
+    figure = Figure((WIDTH_IN, 0.5 + (0.5 + 0.26 * len(planners)) * len(settings)), layout="constrained")
+    axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
+    is_success = table.assign(is_success=table["outcome"] == "success")
+    rate = 100 * is_success.pivot_table(index=["setting", "planner"], columns="style_horizon_s", values="is_success")
+    for axis, setting in zip(axes, settings, strict=True):
+        _rates(axis, rate.loc[setting].reindex(index=planners))
+        axis.set_title(f"{setting_label(setting)}: success [% of episodes]")
+    axes[-1].set_xlabel("prediction horizon of the social driver [s], short = aggressive")
+    return figure
+
+
+def _rates(axis: Axes, rate: pd.DataFrame) -> None:
+    """Rows are planners, columns styles; a planner that did not drive has an empty row."""
     axis.imshow(rate, cmap="Blues", vmin=0, vmax=130, aspect="auto")
     for (row, column), value in np.ndenumerate(rate.to_numpy()):
         text = "" if np.isnan(value) else f"{value:.0f}"
-        axis.text(column, row, text, ha="center", va="center", color="white" if value > 75 else INK)
+        axis.text(column, row, text, ha="center", va="center", color="white" if value > 75 else INK, fontsize=8)
     axis.set_xticks(range(rate.shape[1]), [f"{style:g}" for style in rate.columns])
-    axis.set_yticks(range(len(planners)), [planner_label(planner) for planner in planners])
-    axis.set_xlabel("prediction horizon of the social driver [s], short = aggressive")
-    axis.set_title("Success [% of episodes]")
+    axis.set_yticks(range(len(rate)), [planner_label(str(planner)) for planner in rate.index])
     axis.tick_params(length=0)
     axis.spines[:].set_visible(False)
-    return figure
 
 
 @styled

@@ -56,6 +56,7 @@ ENDED = (
 )
 DROVE = (
     Column("time of arrivals [s]", "driving_time_s"),
+    Column("the other's time [s]", "social_time_s"),
     Column("time at rest [s]", "suspend_time_s"),
     Column("suspen-sions", "suspend_count", 1, 2),
     Column("passes first [%]", "ego_first_rate", 100),
@@ -65,7 +66,8 @@ CAME_CLOSE = (
     Column("time to colli-sion [s]", "smallest_ttc_s"),
     Column("braking [m/s²]", "largest_decel_mps2"),
     Column("jerk [m/s³]", "largest_jerk_mps3"),
-    Column("avoidable colli-sions [%]", "avoidable_rate", 100),
+    Column("full braking [count]", "full_braking_count", 1, 2),
+    Column("avoid-able colli-sions [%]", "avoidable_rate", 100),
 )
 COMPARED = tuple(
     Column(label, f"{measure}.value", factor, decimals, None, (f"{measure}.low", f"{measure}.high"), is_signed=True)

@@ -50,5 +50,5 @@ def tell_how_it_went(config: "RunConfig", run: "TrackedRun", results: dict[str, 
     settings = settings_in_order(results["evaluation"], config.evaluation.leading_setting)
     evaluation = {setting: results["evaluation"][setting] for setting in settings}
     verdicts = headlines(evaluation, results["versus_adaptive"])
-    run.set_tags({"standing": standing(evaluation)})
+    run.set_tags({"standing": standing(evaluation, results["versus_adaptive"])})
     run.set_description("\n\n".join([what_it_is(config), *(" ".join(lines) for lines in verdicts)]))

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from negopipe.evaluation.metrics import behaviour_index, episodes, passes_first, summary, suspensions
+from negopipe.evaluation.metrics import SAFETY, behaviour_index, episodes, passes_first, summary, suspensions
 from negopipe.evaluation.trace import OUTCOMES, Trace
 
 DT_S = 0.2
@@ -123,14 +123,15 @@ def test_behaviour_index_is_equation_7() -> None:
 def table() -> pd.DataFrame:
     """Two settings, the first with two planners; planner `a` has one episode of every outcome."""
     rows = [
-        ("a", "push", "success", 8.0, 0, 0.0, 1.0, "ego"),
-        ("a", "push", "collision", np.nan, 0, 0.0, -11.0, "none"),
-        ("a", "push", "deadlock", np.nan, 1, 14.0, -32.0, "none"),
-        ("a", "push", "timeout", 20.0, 2, 4.0, -32.0, "ego"),
-        ("b", "push", "deadlock", np.nan, 1, 15.0, -32.0, "none"),
-        ("a", "yield", "success", 14.0, 1, 3.0, -7.0, "social"),
+        ("a", "push", "success", 8.0, 12.0, 0, 0.0, 0, 1.0, "ego"),
+        ("a", "push", "collision", np.nan, np.nan, 0, 0.0, 3, -11.0, "none"),
+        ("a", "push", "deadlock", np.nan, np.nan, 1, 14.0, 0, -32.0, "none"),
+        ("a", "push", "timeout", 20.0, 13.0, 2, 4.0, 2, -32.0, "ego"),
+        ("b", "push", "deadlock", np.nan, np.nan, 1, 15.0, 0, -32.0, "none"),
+        ("a", "yield", "success", 14.0, 7.0, 1, 3.0, 0, -7.0, "social"),
     ]
-    driven = ["driving_time_s", "suspend_count", "suspend_time_s", "reward", "passes_first"]
+    driven = ["driving_time_s", "social_time_s", "suspend_count", "suspend_time_s", "full_braking_count", "reward"]
+    driven += ["passes_first"]
     return pd.DataFrame(rows, columns=["planner", "setting", "outcome", *driven])
 
 
@@ -151,8 +152,10 @@ def test_summary_by_hand() -> None:
         "arrival_rate": 0.5,
         "ego_first_rate": 0.5,
         "driving_time_s": 14.0,
+        "social_time_s": 12.5,
         "suspend_count": 0.75,
         "suspend_time_s": 4.5,
+        "full_braking_count": 1.25,
         "reward": -18.5,
         "n_episodes": 4,
     }
@@ -164,3 +167,16 @@ def test_summary_without_arrivals_is_null_in_json() -> None:
     assert measures["driving_time_s"] is None
     assert measures["arrival_rate"] == 0.0
     assert json.loads(json.dumps(measures, allow_nan=False)) == measures
+
+
+def test_collisions_are_told_apart_by_who_could_have_avoided_them() -> None:
+    whose = ["none", "ego", "both", "nobody", "social", "alone"]
+    safe = pd.DataFrame({name: 1.0 for name in SAFETY}, index=range(6)).assign(avoidable_by=whose)
+    measures = summary(table().assign(planner="a", setting="push").join(safe))["evaluation"]["push"]["a"]
+    share = {name: measures[name] for name in measures if name.startswith("avoidable")}
+    assert share == {
+        "avoidable_rate": pytest.approx(2 / 6),
+        "avoidable_by_ego_rate": pytest.approx(1 / 6),
+        "avoidable_by_social_rate": pytest.approx(1 / 6),
+        "avoidable_by_both_rate": pytest.approx(1 / 6),
+    }

@@ -22,8 +22,10 @@ def episodes(planner: str, setting: str, n_successes: int) -> pd.DataFrame:
             "episode": range(100),
             "outcome": np.where(is_success, "success", "collision"),
             "driving_time_s": np.where(is_success, 9.0, np.nan),
+            "social_time_s": np.where(is_success, 12.0, np.nan),
             "suspend_count": 0,
             "suspend_time_s": 0.0,
+            "full_braking_count": 0,
             "passes_first": "ego",
             "reward": np.where(is_success, 1.0, -9.0),
         }
