@@ -3,7 +3,7 @@
 # episodes per planner and seed, the same for all. The fixed horizons, which are not trained, drive them once. The
 # regret needs the oracle's table (jobs/oracle.sh makes it).
 set -euo pipefail
-oracle=${ORACLE:-jobs/results/oracle.csv}
+oracle=${ORACLE:-negopipe/pretrained/oracle.csv}
 python -m negopipe +experiment=yield name=results_yield stages=[train,evaluate] evaluation.n_episodes=5000 seed=1
 python -m negopipe -m +experiment=yield name=results_yield stages=[train,evaluate] evaluation.n_episodes=5000 \
     evaluation/rival=[] seed=2,3,4,5

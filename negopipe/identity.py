@@ -9,6 +9,7 @@ from typing import Any
 import negopipe
 from negopipe.config import RunConfig, as_mapping
 from negopipe.tracking.checkpoint import find_checkpoint
+from negopipe.tracking.pretrained import find_oracle
 from negopipe.tracking.run_folder import METRICS_NAME
 
 _GAME = ("seed", "device", "compile", "scenario", "perception", "dynamics", "planner", "observation", "policy")
@@ -62,7 +63,7 @@ def stage_key(config: RunConfig, stage: str) -> str:
         start = _digest(find_checkpoint(config.checkpoint, config).read_bytes())
         relevant["checkpoint"] = [start, "train" in config.stages]
     if config.evaluation.oracle is not None and stage in NEED_THE_ORACLE:
-        path = Path(config.evaluation.oracle)
+        path = find_oracle(config.evaluation.oracle)
         relevant["oracle.csv"] = _digest(path.read_bytes()) if path.is_file() else None
     if config.runs is not None:
         metrics = sorted(Path(config.outputs).absolute().glob(f"*/*/{METRICS_NAME}"))

@@ -94,10 +94,11 @@ def success_by_style(table: pd.DataFrame) -> Figure:
     settings, planners = settings_and_planners(table)
     figure = Figure((WIDTH_IN, 0.5 + (0.5 + 0.26 * len(planners)) * len(settings)), layout="constrained")
     axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
-    is_success = table.assign(is_success=table["outcome"] == "success")
-    rate = 100 * is_success.pivot_table(index=["setting", "planner"], columns="style_horizon_s", values="is_success")
+    ended = table.assign(is_success=table["outcome"] == "success")
     for axis, setting in zip(axes, settings, strict=True):
-        _rates(axis, rate.loc[setting].reindex(index=planners))
+        rows = ended[ended["setting"] == setting]
+        rate = 100 * rows.pivot_table(index="planner", columns="style_horizon_s", values="is_success")
+        _rates(axis, rate.reindex(index=planners))
         axis.set_title(f"{setting_label(setting)}: success [% of episodes]")
     axes[-1].set_xlabel("prediction horizon of the social driver [s], short = aggressive")
     return figure

@@ -15,9 +15,7 @@ from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes import decide_once, drive_episodes
-from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.planners import adaptive_planner
-from negopipe.evaluation.replay import replay
 from negopipe.evaluation.rival import Rival
 from negopipe.evaluation.safety import safety
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
@@ -27,6 +25,7 @@ from negopipe.simulation.scenario import TaskSampler, pair_styles
 from negopipe.simulation.state import Task, map_tensors
 from negopipe.stages.backend import one_thread
 from negopipe.stages.description import tell_how_it_went
+from negopipe.stages.oracle_table import DOES_NOT_FIT, drive_oracle, read_oracle
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, load_policy
 from negopipe.stages.workers import n_processes, side_by_side
@@ -42,8 +41,6 @@ CHARTED = ("success_rate", "collision_rate", "timeout_rate", "driving_time_s", "
 """Measures of which the store gets a chart for every setting and planner."""
 Driven = tuple[pd.DataFrame, Trace]
 """Of one planner in one setting: what is measured, and the first drives."""
-SAME_RETURN = 1e-3
-"""Returns this close are of the same drive; steps cost more."""
 
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
@@ -51,15 +48,17 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     checkpoint = checkpoint_of(config, run)
     game, policy = build(config)
     load_policy(checkpoint, policy, config)
-    oracle = None if config.evaluation.oracle is None else read_oracle(Path(config.evaluation.oracle))
-    jobs = _jobs(config, game, policy, oracle)
+    jobs = _jobs(config, game, policy)
     names = list(jobs)
     n = n_processes(config.device, int(config.n_threads))
     if n > 1:
         _warm_up(config, game, policy)
     with ProgressLine("evaluate", len(jobs)) as progress:
         done = side_by_side(list(jobs.values()), n, lambda index: progress.advance(", ".join(names[index])))
-    tables, traces = zip(*done, strict=True)
+    for (setting, planner), driven in zip(names, done, strict=True):
+        if driven is None:
+            log.info(f"{setting:10} without {planner}: {DOES_NOT_FIT}")
+    tables, traces = zip(*(driven for driven in done if driven is not None), strict=True)
     table = pd.concat(tables, ignore_index=True)
     table.to_csv(run.folder / "episodes.csv", index=False)
     save_traces(run.folder / "traces.npz", list(traces))
@@ -72,27 +71,25 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     _say(summary)
 
 
-def _jobs(
-    config: "RunConfig", game: Game, policy: ActorCritic, oracle: pd.DataFrame | None
-) -> dict[tuple[str, str], Callable[[], Driven]]:
+def _jobs(config: "RunConfig", game: Game, policy: ActorCritic) -> dict[tuple[str, str], Callable[[], Driven | None]]:
     """By setting and planner what drives it there."""
-    jobs: dict[tuple[str, str], Callable[[], Driven]] = {}
+    oracle = None if config.evaluation.oracle is None else read_oracle(config.evaluation.oracle)
+    jobs: dict[tuple[str, str], Callable[[], Driven | None]] = {}
     for setting in config.evaluation.settings:
         tasks = held_out_tasks(config, game, setting)
         for name in (ADAPTIVE, *config.evaluation.rivals):
-            jobs[setting, name] = partial(
-                _measured, config, partial(_drive, config, game, policy, tasks, (name, setting))
-            )
-        found = None if oracle is None else oracle[oracle["setting"] == setting]
-        if found is not None and len(found):
-            drive = partial(_drive_oracle, config, game, tasks, found, setting)
-            jobs[setting, ORACLE] = partial(_measured, config, drive)
+            drive = partial(_drive, config, game, policy, tasks, (name, setting))
+            jobs[setting, name] = partial(_measured, config, drive)
+        if oracle is not None and oracle.has(setting):
+            drive_found = partial(drive_oracle, config, game, tasks, oracle, setting)
+            jobs[setting, ORACLE] = partial(_measured, config, drive_found)
     return jobs
 
 
-def _measured(config: "RunConfig", drive: Callable[[], Trace]) -> Driven:
+def _measured(config: "RunConfig", drive: Callable[[], Trace | None]) -> Driven | None:
+    """None if the planner was not driven."""
     trace = drive()
-    return measure(config, trace), trace.first(config.evaluation.n_traced)
+    return None if trace is None else (measure(config, trace), trace.first(config.evaluation.n_traced))
 
 
 def _warm_up(config: "RunConfig", game: Game, policy: ActorCritic) -> None:
@@ -129,32 +126,6 @@ def drive_rival(config: "RunConfig", game: Game, rival: Rival, tasks: Task, name
     driven = map_tensors(lambda field: field[: rival.n_episodes], tasks)
     n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
     return drive_episodes(game, partial(rival.driver, game), driven, n_worlds, paid, names, rival.is_in_step)
-
-
-def read_oracle(path: Path) -> pd.DataFrame:
-    """An oracle.csv without the rows that hold no horizons; UserError if there is none, or only such rows."""
-    if not path.is_file():
-        raise UserError(
-            f"evaluation.oracle must be an oracle.csv as +experiment=oracle writes it, got {path}: no such file"
-        )
-    table = pd.read_csv(path, keep_default_na=False)
-    if not {"setting", "episode", "horizons", "reward"} <= set(table.columns) or (table["horizons"] == "").all():
-        raise UserError(f"evaluation.oracle must be an oracle.csv with a column horizons, got {path}")
-    return table[table["horizons"] != ""]
-
-
-def _drive_oracle(config: "RunConfig", game: Game, tasks: Task, found: pd.DataFrame, setting: str) -> Trace:
-    """What a search found for tasks of a setting; what it returns shows whether it was found for them."""
-    if found["episode"].tolist() != list(range(len(found))) or len(found) > len(tasks):
-        said = f"{len(found)} tasks up to {found['episode'].max()}"
-        raise UserError(f"evaluation.oracle must be of the first of the {len(tasks)} tasks of {setting}, got {said}")
-    driven = map_tensors(lambda field: field[: len(found)], tasks)
-    trace = replay(game, driven, list(map(from_text, found["horizons"])), config.evaluation.reward, (ORACLE, setting))
-    returned = trace.reward.sum(0, dtype="float64")
-    if not (abs(returned - found["reward"].to_numpy()) < SAME_RETURN).all():
-        expected = f"{found['reward'].mean():.2f} on average in {setting}, as it says, got {returned.mean():.2f}"
-        raise UserError(f"evaluation.oracle must be of this road, planner and reward and return {expected}")
-    return trace
 
 
 def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:

@@ -1,4 +1,5 @@
-"""Policies that come with negopipe: `checkpoint=pretrained`, or `pretrained/<name>` of another experiment."""
+"""What comes with negopipe: policies (`checkpoint=pretrained`, or `pretrained/<name>` of another experiment), and what
+the oracle found (`evaluation.oracle=pretrained`)."""
 
 from pathlib import Path
 
@@ -25,3 +26,8 @@ def find_pretrained(reference: str, experiment: str) -> Path | None:
         allowed = ", ".join(f"{PRETRAINED}/{known}" for known in names()) or "none yet"
         raise UserError(f"checkpoint must be among {allowed} where it begins with {PRETRAINED}, got {reference}")
     return path
+
+
+def find_oracle(reference: str) -> Path:
+    """The oracle.csv that `reference` means; the file need not be there."""
+    return FOLDER / "oracle.csv" if reference == PRETRAINED and not Path(reference).is_file() else Path(reference)

@@ -15,6 +15,7 @@ from negopipe.evaluation import oracle as search
 from negopipe.gym_env import compose_config
 from negopipe.stages import evaluate, oracle
 from negopipe.stages.evaluate import held_out_tasks
+from negopipe.stages.oracle_table import read_oracle
 from negopipe.stages.setup import build, save_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 
@@ -94,11 +95,32 @@ def test_a_part_of_what_was_found_is_refused(ran: RecordedRun, tmp_path: Path) -
 
 
 def test_an_oracle_that_is_none_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"evaluation\.oracle must be an oracle\.csv .* no such file"):
-        evaluate.read_oracle(tmp_path / "oracle.csv")
+    with pytest.raises(UserError, match=r"evaluation\.oracle must be pretrained or an oracle\.csv .* no such file"):
+        read_oracle(str(tmp_path / "oracle.csv"))
     (tmp_path / "oracle.csv").write_text("setting,episode\npush,0\n")
     with pytest.raises(UserError, match="with a column horizons"):
-        evaluate.read_oracle(tmp_path / "oracle.csv")
+        read_oracle(str(tmp_path / "oracle.csv"))
+
+
+def test_what_comes_with_negopipe_is_driven_on_its_tasks(tmp_path: Path) -> None:
+    evaluated(with_its_oracle(Path("pretrained"), "scenario.episode_steps=128"), tmp_path)
+    table = pd.read_csv(tmp_path / "episodes.csv").query("planner == 'oracle'").reset_index()
+    assert table["setting"].tolist() == ["push"] * 3 + ["yield"] * 3
+    shipped = read_oracle("pretrained").rows
+    for setting, rows in table.groupby("setting"):
+        of_setting = shipped[shipped["setting"] == setting].head(3)
+        assert rows["horizons"].tolist() == of_setting["horizons"].tolist()
+        assert rows["reward"].tolist() == pytest.approx(of_setting["reward"].tolist())
+
+
+@pytest.mark.parametrize("other", ["scenario.road.corridor_length_m=11.0", "evaluation.task_seed=1"])
+def test_what_comes_with_negopipe_is_left_out_elsewhere(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, other: str
+) -> None:
+    with caplog.at_level("INFO", "negopipe"):
+        evaluated(with_its_oracle(Path("pretrained"), other, "scenario.episode_steps=128"), tmp_path)
+    assert set(pd.read_csv(tmp_path / "episodes.csv")["planner"]) == {"adaptive", "fixed_0"}
+    assert "push       without oracle: what comes with negopipe was found for another road" in caplog.text
 
 
 def test_a_row_per_task_and_measures_that_agree(ran: RecordedRun) -> None:
