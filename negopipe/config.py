@@ -128,9 +128,13 @@ def as_mapping(config: RunConfig) -> dict[str, Any]:
 
 
 def run_name(config: RunConfig) -> str:
-    """Name of the run folder, `seed<seed>-<8 hex>`: the same for everything that gives the same result."""
-    idle = set(get_args(Stage)) - set(config.stages)  # the group of a stage acts only where the stage runs
-    relevant = {key: value for key, value in as_mapping(config).items() if key not in RESULT_NEUTRAL | idle}
+    """Name of the run folder, `seed<seed>-<8 hex>`: the same for everything that gives the same result.
+
+    The group of a stage counts where that stage runs alone; among others it adds to a run, whose folder it leaves.
+    """
+    alone = set(config.stages) if len(config.stages) == 1 else set()
+    others = set(get_args(Stage)) - alone
+    relevant = {key: value for key, value in as_mapping(config).items() if key not in RESULT_NEUTRAL | others}
     relevant |= {} if config.runs is None else {"runs": config.runs}  # a report on other runs has a folder of its own
     canonical = json.dumps(relevant, sort_keys=True, separators=(",", ":"))
     return f"seed{config.seed}-{hashlib.sha256(canonical.encode()).hexdigest()[:8]}"

@@ -31,6 +31,8 @@ STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report", "replay")
 NEED_THE_ORACLE = ("evaluate", "report", "replay")
 """Of an oracle.csv, if one is named, its content counts."""
 
+MAPPED = "behaviour_map"
+"""A stage whose figure the report shows where it ran before."""
 NOT_TRAINED_ON = ("families",)
 """Of the scenario: training draws from the curriculum's families."""
 WITHOUT_NETWORK = ("behaviour_map", "oracle")
@@ -59,6 +61,8 @@ def stage_key(config: RunConfig, stage: str) -> str:
         relevant["evaluation"] = _without(relevant["evaluation"], ONLY_SHOWN)
     if "tracking" in relevant:
         relevant["tracking"] = _without(relevant["tracking"], ONLY_NAMES)
+    if stage == "report" and MAPPED in config.stages:
+        relevant[MAPPED] = values[MAPPED]
     if stage in STARTS_FROM_CHECKPOINT and config.checkpoint is not None:
         start = _digest(find_checkpoint(config.checkpoint, config).read_bytes())
         relevant["checkpoint"] = [start, "train" in config.stages]

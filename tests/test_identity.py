@@ -39,6 +39,13 @@ def test_keys_change_with_what_results_depend_on(override: str, changed: set[str
     assert {stage for stage in ALL if stage_key(base, stage) != stage_key(other, stage)} == changed
 
 
+def test_the_report_depends_on_the_map_where_it_shows_one() -> None:
+    stages, more = "stages=[evaluate,behaviour_map,report]", "behaviour_map.n_episodes=3"
+    keys = [stage_key(compose_config(overrides), "report") for overrides in ([stages], [stages, more], [], [more])]
+    assert keys[0] != keys[1]
+    assert keys[2] == keys[3]
+
+
 def test_a_checkpoint_counts_by_its_content_and_by_what_is_done_with_it(tmp_path: Path) -> None:
     one, same, other = (tmp_path / name for name in ("one", "same", "other"))
     for path, step in ((one, 1), (same, 1), (other, 2)):

@@ -55,6 +55,12 @@ CAPTIONS = {
         90th percentile of the adaptive planner; thin lines: medians of the others. A line ends where
         fewer than a quarter of the planner's episodes still run.""",
     ),
+    "behaviour_map": (
+        "When two horizons meet",
+        """Every fixed horizon of the ego against every style of the social driver, on the same starts. On the left each
+        cell is filled with the outcomes; on the right stands how often the ego passes first, of the episodes in which
+        anybody does, and the mean smallest gap. {verdict}""",
+    ),
     "horizons": (
         "Horizons that the policy chose",
         """At each time, the share of all episodes in which the adaptive planner used each prediction

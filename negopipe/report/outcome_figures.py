@@ -5,6 +5,7 @@ Like those of `negopipe.report.figures`: every function takes data and returns a
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -181,5 +182,7 @@ def _outcome_bars(axis: Axes, row: int, episodes: pd.DataFrame, edges: np.ndarra
     for outcome in OUTCOMES:
         height = 0.76 * share[outcome].to_numpy()
         color = OUTCOME_COLORS[outcome]  # of the edges, too, or seams show between the columns
-        axis.bar(at, -height, width=width, bottom=base, align="edge", color=color, edgecolor=color, linewidth=0.4)
+        some = height > 0  # the edges of an empty bar would be seen
+        bars: Any = {"bottom": base[some], "align": "edge", "color": color, "edgecolor": color, "linewidth": 0.4}
+        axis.bar(at[some], -height[some], width[some], **bars)
         base = base - height

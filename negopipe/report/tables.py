@@ -66,8 +66,8 @@ CAME_CLOSE = (
     Column("time to colli-sion [s]", "smallest_ttc_s"),
     Column("braking [m/s²]", "largest_decel_mps2"),
     Column("jerk [m/s³]", "largest_jerk_mps3"),
-    Column("full braking [count]", "full_braking_count", 1, 2),
-    Column("avoid-able colli-sions [%]", "avoidable_rate", 100),
+    Column("with-out a plan [count]", "full_braking_count"),
+    Column("avoid-able crashes [%]", "avoidable_rate", 100),
 )
 COMPARED = tuple(
     Column(label, f"{measure}.value", factor, decimals, None, (f"{measure}.low", f"{measure}.high"), is_signed=True)
@@ -91,7 +91,7 @@ def tables(
     tables_of_all = {
         "How the episodes ended": ENDED,
         "How the ego drove": DROVE,
-        "Closest and hardest of each episode, mean": CAME_CLOSE,
+        "Closest and hardest of each episode, and decisions without a feasible plan (full braking): means": CAME_CLOSE,
     }
     label = {planner: planner_label(planner) for planner in measures}
     colors = planner_colors(list(measures))

@@ -2,24 +2,25 @@
 
 import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from itertools import product
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from negopipe.driver import fixed_horizon
 from negopipe.env import Game
 from negopipe.evaluation.behaviour_map import cell, claims, findings
-from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.episodes import decide_once, drive_episodes
 from negopipe.evaluation.planners import by_horizon, fixed_name
-from negopipe.evaluation.trace import Trace
 from negopipe.report.behaviour_map import behaviour_map, reading
 from negopipe.report.figures import render
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import Task
-from negopipe.stages.backend import one_thread
+from negopipe.simulation.state import Task, map_tensors
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import game_of
+from negopipe.stages.workers import n_processes, side_by_side
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -27,35 +28,40 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
+MAP_NAME = "behaviour_map.csv"
+
 
 def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Drive all pairs in all settings; writes behaviour_map.csv, figures/behaviour_map.* and claim 8's verdicts."""
     game = game_of(config)
     table = drive_map(config, game)
-    table.to_csv(run.folder / "behaviour_map.csv", index=False)
-    run.log_artifact(run.folder / "behaviour_map.csv")
+    table.to_csv(run.folder / MAP_NAME, index=False)
+    run.log_artifact(run.folder / MAP_NAME)
     _draw(table, config.report.figure_formats, run)
     found = findings(table)
     run.update_metrics_json({"behaviour_map": {"claims": claims(found)}})
     paragraph = reading(found)
-    run.set_description(paragraph)
+    if "evaluate" not in config.stages:  # which has more to say
+        run.set_description(paragraph)
     log.info(paragraph)
 
 
 def drive_map(config: "RunConfig", game: Game) -> pd.DataFrame:
     """One row of `negopipe.evaluation.behaviour_map.cell` per setting, ego horizon and social style."""
-    grid, scenario = config.behaviour_map, config.scenario
-    settings = config.evaluation.settings
-    rows = []
-    with ProgressLine("behaviour map", len(settings) * len(grid.styles_s) * len(grid.horizons_s)) as progress:
-        for setting in settings:
-            for style_s in grid.styles_s:
-                tasks = map_tasks(config, game, setting, style_s)
-                for horizon_s in grid.horizons_s:
-                    trace = _drive(config, game, tasks, horizon_s, setting)
-                    rows.append(cell(trace, horizon_s, style_s, scenario.road.corridor_length_m, scenario.vehicle))
-                    progress.advance(f"{setting}, ego {horizon_s:g} s, social {style_s:g} s")
-    return pd.DataFrame(rows)
+    grid = config.behaviour_map
+    pairs = list(product(config.evaluation.settings, grid.styles_s, grid.horizons_s))
+    n = n_processes(config.device, int(config.n_threads))
+    if n > 1:  # compile before processes are forked
+        setting, style_s, horizon_s = pairs[0]
+        first = map_tensors(lambda field: field[:1], map_tasks(config, game, setting, style_s))
+        decide_once(game, by_horizon(game, fixed_horizon(horizon_s)), first)
+    with ProgressLine("behaviour map", len(pairs)) as progress:
+
+        def say(index: int) -> None:
+            setting, style_s, horizon_s = pairs[index]
+            progress.advance(f"{setting}, ego {horizon_s:g} s, social {style_s:g} s")
+
+        return pd.DataFrame(side_by_side([partial(_drive, config, game, *pair) for pair in pairs], n, say))
 
 
 def map_tasks(config: "RunConfig", game: Game, setting: str, style_s: float) -> Task:
@@ -66,17 +72,11 @@ def map_tasks(config: "RunConfig", game: Game, setting: str, style_s: float) -> 
     return TaskSampler(config.scenario, {setting: in_one_style}, stream).draw(config.behaviour_map.n_episodes)
 
 
-@one_thread()
-def _drive(config: "RunConfig", game: Game, tasks: Task, horizon_s: float, setting: str) -> Trace:
-    names = (fixed_name(horizon_s), setting)
-    return drive_episodes(
-        game,
-        by_horizon(game, fixed_horizon(horizon_s)),
-        tasks,
-        config.evaluation.n_worlds,
-        config.evaluation.reward,
-        names,
-    )
+def _drive(config: "RunConfig", game: Game, setting: str, style_s: float, horizon_s: float) -> dict[str, Any]:
+    tasks, ego = map_tasks(config, game, setting, style_s), by_horizon(game, fixed_horizon(horizon_s))
+    n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
+    trace = drive_episodes(game, ego, tasks, n_worlds, paid, (fixed_name(horizon_s), setting))
+    return cell(trace, horizon_s, style_s, config.scenario.road.corridor_length_m, config.scenario.vehicle)
 
 
 def _draw(table: pd.DataFrame, formats: tuple[str, ...], run: "TrackedRun") -> None:

@@ -13,11 +13,14 @@ import torch
 from matplotlib.figure import Figure
 
 from negopipe.errors import UserError
+from negopipe.evaluation.behaviour_map import findings
 from negopipe.evaluation.claims import judge_claims
 from negopipe.evaluation.replay import Insight, look_into
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.animation import Scene
+from negopipe.report.behaviour_map import behaviour_map as map_figure
+from negopipe.report.behaviour_map import reading as map_reading
 from negopipe.report.captions import NOT_TRAINED, WATCH, caption
 from negopipe.report.figures import planner_label, setting_label
 from negopipe.report.headlines import headlines
@@ -34,6 +37,7 @@ from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import EGO, NEAREST, map_tensors
 from negopipe.stages import report_runs
+from negopipe.stages.behaviour_map import MAP_NAME
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
 from negopipe.stages.provenance import provenance, write_claims
 from negopipe.stages.setup import build, load_policy
@@ -100,7 +104,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
         _planners(drawings, table, _unseen(config)),
         _negotiations(drawings, traces, road.corridor_sigma_m),
         _animations(config.report, films, traces, make_scene(config.scenario, road), insights),
-        _behaviour(drawings, traces, config.scenario.road.corridor_length_m),
+        _behaviour(drawings, traces, config.scenario.road.corridor_length_m, run.folder / MAP_NAME),
         _training(drawings, films, run, sorted({gap for gaps in _unseen(config).values() for gap in gaps})),
     ]
     verdicts = headlines(results.evaluation, results.versus)
@@ -260,13 +264,22 @@ def _film(
     return gallery.animation(name, gif, still, title, reading)
 
 
-def _behaviour(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_length_m: float) -> Section:
+def _behaviour(
+    gallery: _Gallery, traces: dict[str, list[Trace]], corridor_length_m: float, behaviour_map: Path
+) -> Section:
+    """With the behaviour map, if its stage has left one."""
     flat = [trace for group in traces.values() for trace in group]
-    psi = gallery.figure("behaviour_index", figures.behaviour(flat), *caption("behaviour_index"))
-    chosen = gallery.figure("horizons", figures.horizons(flat), *caption("horizons"))
     along = figures.horizons_along(flat, corridor_length_m)
-    where = gallery.figure("horizons_along", along, *caption("horizons_along"))
-    return Section("Behaviour", "", [psi, chosen, where])
+    exhibits = [
+        gallery.figure("behaviour_index", figures.behaviour(flat), *caption("behaviour_index")),
+        gallery.figure("horizons", figures.horizons(flat), *caption("horizons")),
+        gallery.figure("horizons_along", along, *caption("horizons_along")),
+    ]
+    if behaviour_map.is_file():
+        table = pd.read_csv(behaviour_map)
+        words = caption("behaviour_map", verdict=map_reading(findings(table)))
+        exhibits.insert(0, gallery.figure("behaviour_map", map_figure(table), *words))
+    return Section("Behaviour", "", exhibits)
 
 
 def _training(

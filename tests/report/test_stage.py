@@ -144,15 +144,24 @@ def test_options_act(run: RecordedRun) -> None:
     assert page.count("data:image/gif") == 1  # of the training, no episode
     assert "Learning curves" in page
     assert "Success against every style" not in page  # each setting has one style
+    assert "When two horizons meet" not in page  # nobody has drawn the map
 
 
 def test_what_is_shown_depends_on_what_there_is(run: RecordedRun, table: pd.DataFrame) -> None:
     varied = table.assign(style_horizon_s=table["episode"].mod(2) * 6.0)
     varied.to_csv(run.folder / "episodes.csv", index=False)
     (run.folder / "history.csv").unlink()
+    cells = [
+        {"setting": "push", "ego_horizon_s": horizon, "social_style_s": 0.0, "success_rate": 1.0, "collision_rate": 0.0}
+        | {"deadlock_rate": 0.0, "other_timeout_rate": 0.0, "ego_passes_first_rate": 1.0, "smallest_gap_m": horizon}
+        for horizon in (0.0, 6.0)
+    ]
+    pd.DataFrame(cells).to_csv(run.folder / "behaviour_map.csv", index=False)
     report.run(Config(), run)
     page = (run.folder / "report.html").read_text()
     assert "Success against every style" in page
+    assert "When two horizons meet" in page
+    assert "Coming closer: holds in 1 of 1 (push against 0 s)" in page
     assert "was not trained in this run" in page
     assert "Learning curves" not in page
 

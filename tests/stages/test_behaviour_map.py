@@ -44,7 +44,7 @@ TINY = (
 
 
 def tiny(*overrides: str) -> RunConfig:
-    return compose_config(["device=cpu", *TINY, *overrides])
+    return compose_config(["device=cpu", "n_threads=1", *TINY, *overrides])
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +179,5 @@ def test_the_map_names_a_run_only_where_it_is_drawn() -> None:
     more = "behaviour_map.n_episodes=3"
     assert run_name(tiny(more)) != run_name(tiny())
     assert run_name(compose_config([more])) == run_name(compose_config())
+    beside = "stages=[train,evaluate,behaviour_map,report]"
+    assert run_name(compose_config([beside, more])) == run_name(compose_config())
