@@ -63,7 +63,7 @@ DROVE = (
 )
 CAME_CLOSE = (
     Column("gap [m]", "smallest_gap_m", 1, 2),
-    Column("time to colli-sion [s]", "smallest_ttc_s"),
+    Column("TTC [s]", "smallest_ttc_s"),
     Column("braking [m/s²]", "largest_decel_mps2"),
     Column("jerk [m/s³]", "largest_jerk_mps3"),
     Column("with-out a plan [count]", "full_braking_count"),

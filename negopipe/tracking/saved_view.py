@@ -1,7 +1,7 @@
 """A view that MLflow's dashboard offers of an experiment: the runs' parameters that differ, and what came of them.
 
 MLflow keeps a saved view as a tag of the experiment: a name, two times and, as text, the state of its page of runs.
-What a state leaves out the page fills in, so the charts of all metrics follow those that are given here.
+What a state leaves out the page fills in: it puts a chart of every metric into the section of its name.
 """
 
 import json
@@ -22,6 +22,8 @@ N_AXES = 6
 LONGEST_VALUE = 30
 """Characters: longer values, of whole lists, are no labels of an axis."""
 MAX_RUNS = 1000
+LONGEST_TAG = 5000
+"""Characters that MLflow takes."""
 
 
 def save_comparison(
@@ -35,10 +37,14 @@ def save_comparison(
     found = client.search_runs([experiment_id], max_results=MAX_RUNS)
     params = [run.data.params for run in found if set(metrics) <= set(run.data.metrics)]
     axes = differing(params, left_out)[:N_AXES] or differing([{"seed": each.get("seed", "")} for each in params], ())
-    state = json.dumps(_state(axes, metrics))
+    sections = sorted({name.rpartition("/")[0] for run in found for name in run.data.metrics})
     # the runs' time, not the clock's, so that telling twice changes nothing
     time_ms = max((run.info.start_time for run in found), default=0)
-    view = {"name": VIEW.capitalize(), "createdAt": time_ms, "updatedAt": time_ms, "state": state}
+    for known in (sections, []):  # without its sections a view is short enough for a tag
+        state = json.dumps(_state(axes, metrics, known), separators=(",", ":"))
+        view = {"name": VIEW.capitalize(), "createdAt": time_ms, "updatedAt": time_ms, "state": state}
+        if len(json.dumps(view)) <= LONGEST_TAG:
+            break
     client.set_experiment_tag(experiment_id, TAG, json.dumps(view))
 
 
@@ -51,14 +57,25 @@ def differing(params: Sequence[Mapping[str, str]], left_out: Collection[str]) ->
     return without_implied(short, params)
 
 
-def _state(axes: Sequence[str], metrics: Sequence[str]) -> dict[str, Any]:
-    section = {"uuid": VIEW, "name": VIEW, "display": True, "columns": 1, "cardHeight": 420}
+def _state(axes: Sequence[str], metrics: Sequence[str], sections: Sequence[str]) -> dict[str, Any]:
+    """The comparison, the sections of what is compared, all others, and last and folded up the neighbours of what is
+    compared: the other planners, who drive alike in every run.
+    """
+    compared = {name.rpartition("/")[0] for name in metrics}
+    neighbours = {name.partition("/")[0] for name in compared}
+    folded = [name for name in sections if name.partition("/")[0] in neighbours and name not in compared]
+    unfolded = sorted(set(sections) - set(folded), key=lambda name: (name not in compared, name))
+    comparison = {"uuid": VIEW, "name": VIEW, "display": True, "columns": 1, "cardHeight": 420}
     chart = {"uuid": VIEW, "type": "PARALLEL", "metricSectionId": VIEW, "runsCountToCompare": MAX_RUNS}
     chart |= {"selectedParams": list(axes), "selectedMetrics": list(metrics), "showAllRuns": True}
     made_by_hand = {"deleted": False, "isGenerated": False}
+    generated = [
+        {"uuid": str(number), "name": name, "display": name in unfolded, "isGenerated": True}
+        for number, name in enumerate([*unfolded, *folded])
+    ]
     return {
-        "compareRunSections": [section | made_by_hand | {"isReordered": False}] if axes else [],
+        "compareRunSections": [*([comparison | made_by_hand] if axes else []), *generated],
         "compareRunCharts": [chart | made_by_hand] if axes else [],
-        "isAccordionReordered": False,
+        "isAccordionReordered": True,  # else the page puts them in the order of their names
         "runsExpanded": {},
     }

@@ -8,7 +8,7 @@ from mlflow import MlflowClient
 
 from negopipe.tracking.dashboard import chart_addresses
 from negopipe.tracking.database import connect, database_path
-from negopipe.tracking.saved_view import LONGEST_VALUE, N_AXES, TAG, differing
+from negopipe.tracking.saved_view import LONGEST_TAG, LONGEST_VALUE, N_AXES, TAG, differing
 from negopipe.tracking.store import StoreConfig, open_run
 
 METRIC = "evaluation.yield.adaptive.reward"
@@ -28,15 +28,20 @@ def client(config: StoreConfig) -> MlflowClient:
     return connect(Path(config.outputs), config.tracking.uri)
 
 
-def shown(config: StoreConfig, experiment_id: str) -> list[dict[str, Any]]:
-    """The charts of the view, as the dashboard reads it."""
+def state(config: StoreConfig, experiment_id: str) -> dict[str, Any]:
+    """Of the view, as the dashboard reads it."""
     view = json.loads(client(config).get_experiment(experiment_id).tags[TAG])
     assert view["name"] == "Comparison"
     assert isinstance(view["createdAt"], int)
-    state = json.loads(view["state"])
-    sections = {section["uuid"] for section in state["compareRunSections"]}
-    assert all(chart["metricSectionId"] in sections for chart in state["compareRunCharts"])
-    return list(state["compareRunCharts"])
+    return dict(json.loads(view["state"]))
+
+
+def shown(config: StoreConfig, experiment_id: str) -> list[dict[str, Any]]:
+    """The charts of the view."""
+    found = state(config, experiment_id)
+    sections = {section["uuid"] for section in found["compareRunSections"]}
+    assert all(chart["metricSectionId"] in sections for chart in found["compareRunCharts"])
+    return list(found["compareRunCharts"])
 
 
 def test_it_shows_what_differs_and_what_came_of_it(ready: StoreConfig) -> None:
@@ -61,6 +66,19 @@ def test_runs_without_the_metric_do_not_count(ready: StoreConfig) -> None:
     assert shown(ready, sweep(ready, {"seed": 3, "gamma": 0.9})) == []
 
 
+def test_the_other_planners_come_last_and_folded_up(ready: StoreConfig) -> None:
+    names = ["evaluation/yield/fixed_0/reward", "train/kl", "evaluation/yield/adaptive/success_rate"]
+    for seed in (1, 2):
+        with open_run(ready, f"seed{seed}-charts", {"seed": seed}) as run:
+            run.log_metrics(dict.fromkeys([*names, METRIC.replace(".", "/")], 0.0), step=1)
+            run.compare([METRIC], {"outputs"})
+    assert run.run_id is not None
+    experiment_id = str(client(ready).get_run(run.run_id).info.experiment_id)
+    sections = state(ready, experiment_id)["compareRunSections"]
+    expected = {"comparison": True, "evaluation/yield/adaptive": True, "train": True, "evaluation/yield/fixed_0": False}
+    assert [(section["name"], section["display"]) for section in sections] == list(expected.items())
+
+
 def test_axes_are_few_and_their_labels_short() -> None:
     runs = [{f"key{i}": str(run) for i in range(2 * N_AXES)} | {"list": str(run) * LONGEST_VALUE * 2} for run in (1, 2)]
     assert differing(runs, ()) == [f"key{i}" for i in range(2 * N_AXES)]
@@ -80,11 +98,16 @@ def test_the_charts_open_on_the_view_once_it_is_there(ready: StoreConfig) -> Non
 
 
 def test_a_view_fits_into_a_tag(ready: StoreConfig) -> None:
-    """MLflow takes 5,000 characters."""
     many = [{"seed": 1, **{f"{'group' * 6}.key{i}": str(run) * 20 for i in range(40)}} for run in (1, 2)]
     experiment_id = sweep(ready, *many)
     assert len(shown(ready, experiment_id)[0]["selectedParams"]) == N_AXES
     assert len(client(ready).get_experiment(experiment_id).tags[TAG]) < 2000
+    with open_run(ready, "seed1-many", {"seed": 1}) as run:
+        run.log_metrics({f"evaluation/{'setting' * 10}/planner_{i}/reward": 0.0 for i in range(60)}, step=1)
+        run.compare([METRIC], {"outputs"})
+    tag = client(ready).get_experiment(experiment_id).tags[TAG]
+    assert len(tag) <= LONGEST_TAG
+    assert "planner_7" not in tag
 
 
 def test_telling_it_again_changes_nothing(ready: StoreConfig) -> None:
