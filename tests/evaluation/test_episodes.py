@@ -1,6 +1,7 @@
-"""Evaluation episodes: outcomes, records that agree with the simulator, and no dependence on the batch size."""
+"""Evaluation episodes: outcomes, records that agree with the simulator, the same whatever is driven beside them."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,12 +10,13 @@ from games import draw_tasks
 
 from negopipe.config import RunConfig
 from negopipe.driver import HorizonDriver, fixed_horizon
-from negopipe.env import Game
+from negopipe.env import Game, build_game, has_compiler
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.planners import adaptive_planner, by_horizon
-from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
+from negopipe.gym_env import compose_config
 from negopipe.policy.actor_critic import grid_actor_critic
-from negopipe.simulation.state import Task
+from negopipe.simulation.state import Task, map_tensors
 
 
 def task_with(config: RunConfig, distance_m: float, style_s: float, n: int = 1) -> Task:
@@ -75,15 +77,43 @@ def test_records_are_those_of_the_drive(config: RunConfig, game: Game) -> None:
     assert (trace.position_m[n:] == trace.position_m[n]).all()
 
 
-def test_outcomes_do_not_depend_on_batch_size(config: RunConfig, game: Game) -> None:
-    task = draw_tasks(config, 10, seed=4)
-    one_batch, in_parts = (drive(config, game, task, 6.0, n) for n in (10, 4))
-    for field in fields(Trace)[3:]:
-        a, b = getattr(one_batch, field.name), getattr(in_parts, field.name)
+def test_outcomes_do_not_depend_on_batch_size_or_order(config: RunConfig, game: Game) -> None:
+    task, order = draw_tasks(config, 10, seed=4), torch.randperm(10, generator=torch.Generator().manual_seed(1))
+    one_batch = drive(config, game, task, 6.0, 10)
+    in_parts = drive(config, game, map_tensors(lambda field: field[order], task), 6.0, 4)
+    for name, axis in EPISODE_AXIS.items():
+        a, b = np.take(getattr(one_batch, name), order.numpy(), axis), getattr(in_parts, name)
         if a.dtype == bool or a.dtype.kind == "i":
-            assert np.array_equal(a, b), field.name
+            assert np.array_equal(a, b), name
         else:
-            assert np.allclose(a, b, atol=1e-3, equal_nan=True), field.name
+            assert np.allclose(a, b, atol=1e-3, equal_nan=True), name
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not has_compiler(), reason="no C++ compiler")
+@pytest.mark.parametrize("planner", ["adaptive", "fixed_6", "random", "give_way", "cautious", "level_k"])
+def test_compiled_not_a_bit_depends_on_batch_size_or_order(config: RunConfig, compiled: Game, planner: str) -> None:
+    rival = compose_config(["evaluation/rival=all"]).evaluation.rivals.get(planner)
+    policy = grid_actor_critic(
+        config.policy, compiled.observation_shape, torch.device("cpu"), torch.Generator().manual_seed(0)
+    )
+    make_ego, is_in_step = by_horizon(compiled, adaptive_planner(policy, compiled, config.policy.horizons_s)), False
+    if rival is not None:
+        make_ego, is_in_step = partial(rival.driver, compiled), rival.is_in_step
+    n = 8 if planner == "level_k" else 100
+    tasks, order = draw_tasks(config, n, seed=4), torch.randperm(n, generator=torch.Generator().manual_seed(1))
+    in_other_order = map_tensors(lambda field: field[order], tasks)
+    names, reward = (planner, "x"), config.evaluation.reward
+    one_batch = drive_episodes(compiled, make_ego, tasks, n, reward, names, is_in_step)
+    in_parts = drive_episodes(compiled, make_ego, in_other_order, 7, reward, names, is_in_step)
+    for name, axis in EPISODE_AXIS.items():
+        a, b = np.take(getattr(one_batch, name), order.numpy(), axis), getattr(in_parts, name)
+        assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f"), name
+
+
+@pytest.fixture(scope="module")
+def compiled(config: RunConfig) -> Game:
+    return build_game(config, is_compiled=True)
 
 
 def test_adaptive_planner_looks_at_the_grids(config: RunConfig, game: Game) -> None:
