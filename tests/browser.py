@@ -12,7 +12,10 @@ BROWSER = next(
 )
 PROBE = """<script>
 document.querySelectorAll("details").forEach(part => part.open = true);
+const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+const boxes = [...document.querySelectorAll("table, figure")].map(part => part.getBoundingClientRect());
 addEventListener("load", () => parent.postMessage({
+  overlaps: boxes.filter((box, i) => boxes.slice(i + 1).some(other => overlap(box, other))).length,
   shown: document.documentElement.scrollWidth, width: document.documentElement.clientWidth,
   images: document.images.length, broken: [...document.images].filter(image => !image.naturalWidth).length}, "*"));
 </script>"""

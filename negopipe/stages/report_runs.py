@@ -36,7 +36,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     groups = {short[name]: folders for name, folders in by_overrides.items()}
     verdicts, chapters = compare(read_groups(groups))
     title = f"runs {config.runs}"
-    sections = [_configs(short), _training(groups)]
+    sections = [*([_configs(short)] if list(short) != list(short.values()) else []), _training(groups)]
     tested = [claim for claim in (curriculum_claim(found),) if claim is not None]
     if tested:
         write_claims(run, tested)

@@ -23,9 +23,11 @@ from negopipe.sweeping.seeds import across_seeds, by_seed, read_tables
 from negopipe.sweeping.swept_runs import SweptRun, differing_keys, read_runs
 from negopipe.tracking.run_folder import CONFIG_NAME, HISTORY_NAME
 
-NOT_COMPARED = ("evaluation.rivals", "evaluation/rival")
+NOT_COMPARED = ("evaluation.rivals", "evaluation/rival", "evaluation.oracle")
 """Beginnings of keys and overrides that change nothing about a policy."""
 LONGEST_NAME = 28
+EVEN = 0.5
+"""Share of pairs in which either of two groups has more reward, if they are alike."""
 RANDOM_SEED = 0
 """Of the bootstrap: the same runs give the same intervals."""
 
@@ -125,7 +127,8 @@ def compare(episodes: pd.DataFrame) -> tuple[list[tuple[str, str]], list[Chapter
         seeds = {str(name): by_seed(own, None) for name, own in rows.groupby("group", sort=False)}
         across = {name: _across(own, seeds[names[0]]) for name, own in seeds.items()}
         best = max(across, key=lambda name, across=across: across[name]["reward"])  # type: ignore[misc]
-        verdicts.append(_verdict(str(setting), best, across))
+        rewards = {name: own["reward"].to_numpy() for name, own in seeds.items()}
+        verdicts.append(_verdict(str(setting), best, across[best], rewards))
         chapters.append(_chapter(str(setting), across, seeds))
     return verdicts, chapters
 
@@ -166,13 +169,23 @@ def _known(row: Mapping[Any, Any]) -> dict[str, Any]:
     return {str(name): None if isinstance(value, float) and np.isnan(value) else value for name, value in row.items()}
 
 
-def _verdict(setting: str, best: str, across: Mapping[str, Mapping[str, Any]]) -> tuple[str, str]:
-    found = across[best]
+def _verdict(setting: str, best: str, found: Mapping[str, Any], rewards: Mapping[str, np.ndarray]) -> tuple[str, str]:
+    """rewards: of each group, one per seed"""
     over = f"{found['n_seeds']} seed{'s' if found['n_seeds'] > 1 else ''}"
-    told = f"{best} has the highest reward of {len(across)} configs" if len(across) > 1 else f"{best}, {over}"
-    head = f"{setting_label(setting)}: {told}"
     figures = f"reward {found['reward']:.2f}, success {100 * found['success_rate']:.1f} %, over {over}"
-    return f"{head}.", f"Interquartile means over seeds: {figures}."
+    detail = f"Interquartile means over seeds: {figures}."
+    if len(rewards) == 1:
+        return f"{setting_label(setting)}: {best}, {over}.", detail
+    rng = np.random.default_rng(RANDOM_SEED)
+    ahead = {name: probability_of_improvement(rewards[best], own, rng) for name, own in rewards.items() if name != best}
+    nearest = min(ahead, key=lambda name: ahead[name].value)
+    close = [name for name, share in ahead.items() if not share.low > EVEN]
+    doubt = f", but not clearly higher than {close[0] if len(close) == 1 else f'{len(close)} others'}" if close else ""
+    head = f"{setting_label(setting)}: {best} has the highest reward of {len(rewards)} configs{doubt}."
+    share = ahead[nearest]
+    interval = "" if np.isnan(share.low) else f" [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+    pairs = f"a seed of it has more reward than one of {nearest} in {100 * share.value:.0f} %{interval} of the pairs"
+    return head, f"{detail} Of all others, {nearest} comes nearest: {pairs}."
 
 
 def _chapter(setting: str, across: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, pd.DataFrame]) -> Chapter:

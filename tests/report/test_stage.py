@@ -132,7 +132,7 @@ def test_a_browser_shows_it_all_without_errors_or_scrolling_sideways(run: Record
     for width_px in (360, 1280):
         measured, log = in_browser(run.folder / "report.html", width_px)
         assert measured["images"] > 8
-        assert measured["broken"] == 0
+        assert measured["broken"] == measured["overlaps"] == 0
         assert measured["shown"] <= measured["width"] <= width_px
         assert "CONSOLE" not in log
 

@@ -13,7 +13,15 @@ from tracked import RecordedRun
 
 from negopipe.errors import UserError
 from negopipe.stages import report_runs
-from negopipe.sweeping.comparison import compare, curriculum_claim, find_runs, group, read_groups, short_names
+from negopipe.sweeping.comparison import (
+    LONGEST_NAME,
+    compare,
+    curriculum_claim,
+    find_runs,
+    group,
+    read_groups,
+    short_names,
+)
 
 N = 50
 
@@ -95,6 +103,17 @@ def test_the_claim_on_the_curriculum_is_judged_where_the_runs_tell(
     assert curriculum_claim(find_runs(tmp_path, "yield")) is None
 
 
+def test_a_lead_that_chance_may_explain_is_said_to_be_none(tmp_path: Path) -> None:
+    for rate, successes in {0.1: (0.5, 0.7), 0.2: (0.6, 0.7)}.items():
+        for seed, success in enumerate(successes):
+            evaluated(tmp_path, seed, rate, success)
+    (head, detail), *_ = compare(read_groups(group(find_runs(tmp_path, "yield"))))[0]
+    assert head.endswith(
+        "rate=0.2 has the highest reward of 2 configs, but not clearly higher than algorithm.rate=0.1."
+    )
+    assert "one of algorithm.rate=0.1 in 62 % [0, 100] of the pairs" in detail
+
+
 def test_long_names_become_letters() -> None:
     assert short_names(["a=1", "a=2"]) == {"a=1": "a=1", "a=2": "a=2"}
     assert list(short_names(["a=1", "b" * 40]).values()) == ["A", "B"]
@@ -119,13 +138,20 @@ def reported(outputs: Path, tmp_path: Path) -> RecordedRun:
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
-def test_a_browser_shows_it_without_scrolling_sideways(reported: RecordedRun) -> None:
+def test_a_browser_shows_it_without_scrolling_sideways(long_names: None, reported: RecordedRun) -> None:
     """Long names of configs stand in two tables beside each other, or below each other where there is no room."""
-    for width_px in (360, 1100):
+    for width_px in (360, 1100, 1280):
         measured, log = in_browser(reported.folder / "report.html", width_px)
-        assert measured["broken"] == 0
+        assert measured["broken"] == measured["overlaps"] == 0
         assert measured["shown"] <= measured["width"] <= width_px
         assert "CONSOLE" not in log
+
+
+@pytest.fixture
+def long_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As long as they may be without becoming letters."""
+    longest = {"algorithm.rate=0.1": "a" * LONGEST_NAME, "algorithm.rate=0.2": "b" * LONGEST_NAME}
+    monkeypatch.setattr(report_runs, "short_names", lambda names: {name: longest[name] for name in names})
 
 
 def test_the_stage_writes_a_page(reported: RecordedRun) -> None:
