@@ -209,7 +209,7 @@ def _behaviour_fits(evidence: _Evidence) -> list[Finding]:
     return [
         _more("push: episodes in which psi stays negative", stays_negative, PERCENT, than=0.5),
         _finding("yield: episodes in which psi is positive first", rate(is_positive_first), PERCENT),
-        _more("yield: ... and negative later", turns, PERCENT, than=0.5),
+        _more("yield: episodes in which it is positive first and negative later", turns, PERCENT, than=0.5),
     ]
 
 

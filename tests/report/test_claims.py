@@ -91,7 +91,11 @@ def test_the_behaviour_index_is_read_from_the_drives(traces: list[Trace]) -> Non
     shares = {finding.text: finding.value for finding in claim.findings}
     assert shares["push: episodes in which psi stays negative [%]"] == 100
     assert shares["yield: episodes in which psi is positive first [%]"] == 100
-    assert claim.verdict == ("holds" if shares["yield: ... and negative later [%]"] > 50 else "does not hold")
+    assert claim.verdict == (
+        "holds"
+        if shares["yield: episodes in which it is positive first and negative later [%]"] > 50
+        else "does not hold"
+    )
 
 
 def test_what_was_not_driven_is_not_tested(traces: list[Trace]) -> None:

@@ -74,6 +74,7 @@ def test_what_was_found_can_be_driven_as_a_planner(ran: RecordedRun, tmp_path: P
     ("overrides", "message"),
     [
         (["scenario.road.corridor_length_m=11.0"], "must be of this road, planner and reward"),
+        (["scenario.episode_steps=20"], "planner and reward and return .* got longer episodes"),
         (
             ["evaluation.n_episodes=1", "oracle.n_episodes=1"],
             "must be of the first of the 1 tasks of push, got 2 tasks up to 1",
@@ -113,12 +114,14 @@ def test_what_comes_with_negopipe_is_driven_on_its_tasks(tmp_path: Path) -> None
         assert rows["reward"].tolist() == pytest.approx(of_setting["reward"].tolist())
 
 
-@pytest.mark.parametrize("other", ["scenario.road.corridor_length_m=11.0", "evaluation.task_seed=1"])
+@pytest.mark.parametrize(
+    "other", ["scenario.road.corridor_length_m=11.0", "evaluation.task_seed=1", "scenario.episode_steps=40"]
+)
 def test_what_comes_with_negopipe_is_left_out_elsewhere(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, other: str
 ) -> None:
     with caplog.at_level("INFO", "negopipe"):
-        evaluated(with_its_oracle(Path("pretrained"), other, "scenario.episode_steps=128"), tmp_path)
+        evaluated(with_its_oracle(Path("pretrained"), "scenario.episode_steps=128", other), tmp_path)
     assert set(pd.read_csv(tmp_path / "episodes.csv")["planner"]) == {"adaptive", "fixed_0"}
     assert "push       without oracle: what comes with negopipe was found for another road" in caplog.text
 
