@@ -43,7 +43,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     paragraph = reading(found)
     if "evaluate" not in config.stages:  # which has more to say
         run.set_description(paragraph)
-    log.info(paragraph)
+        log.info(paragraph)
 
 
 def drive_map(config: "RunConfig", game: Game) -> pd.DataFrame:
