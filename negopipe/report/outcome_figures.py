@@ -42,7 +42,8 @@ def arrivals(table: pd.DataFrame) -> Figure:
             _arrival_curve(axis, rows["ego_time_s"], colors[str(planner)], is_adaptive=planner == ADAPTIVE)
         axis.set(ylim=(0, 103), ylabel="ego arrived [%]", title=setting_label(setting))
         axis.grid(axis="y")
-    axes[-1].set(xlabel="time [s]", xlim=(0, table["ego_time_s"].max() * 1.05))
+    latest_s = table["ego_time_s"].max()
+    axes[-1].set(xlabel="time [s]", xlim=(0, 1.0 if np.isnan(latest_s) else 1.05 * latest_s))  # NaN: nobody arrived
     handles = [Patch(color=color, label=planner_label(name)) for name, color in colors.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, handlelength=1.0)
     return figure

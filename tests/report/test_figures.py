@@ -189,3 +189,8 @@ def test_horizons_along_the_road_are_shares_of_the_decisions_there(traces: list[
     for left, high, low in zip(edges[:-1], top, base, strict=True):
         there = horizon[(place >= left) & (place < left + 1)]
         assert high - low == pytest.approx(100 * (there == 6.0).mean() if len(there) else 0.0)
+
+
+def test_arrivals_are_drawn_where_there_are_none(table: pd.DataFrame) -> None:
+    figure = outcome_figures.arrivals(table.assign(ego_time_s=np.nan))
+    assert all(line.get_ydata().max() == 0 for axis in figure.axes for line in axis.lines)
