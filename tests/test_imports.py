@@ -23,6 +23,7 @@ FLOORS = (
         "observation",
         "reward",
     ),
+    ("simulation.collisions",),
     ("simulation.simulator",),
     ("chunks",),
     ("driver", "env", "learning.curriculum"),

@@ -42,7 +42,8 @@ def cell(
     """One row of the map: what happened when the two met.
 
     setting, ego_horizon_s, social_style_s, n_episodes
-    success_rate, collision_rate, deadlock_rate, other_timeout_rate: shares of the episodes, their sum is 1
+    success_rate, collision_rate, deadlock_rate, other_timeout_rate, social_collision_rate: shares of the episodes,
+        their sum is 1
     ego_time_s, social_time_s: until the target was reached, means over arrivals; NaN if nobody arrived
     suspend_count, suspend_time_s: of the ego, means over all episodes
     ego_passes_first_rate: share of the episodes in which anyone passed first; NaN if nobody ever did
@@ -61,6 +62,7 @@ def cell(
         "collision_rate": share["collision"],
         "deadlock_rate": share["deadlock"],
         "other_timeout_rate": share["timeout"],
+        "social_collision_rate": share["social_collision"],
         "ego_time_s": float(rows["ego_time_s"].mean()),
         "social_time_s": float(rows["social_time_s"].mean()),
         "suspend_count": float(rows["suspend_count"].mean()),

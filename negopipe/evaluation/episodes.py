@@ -14,7 +14,7 @@ from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
 from negopipe.schema import FileName, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.simulator import Events
-from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, where_world
+from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, tree_where
 
 DEADLOCK_S = 5.0
 """Time at rest, nose to nose, that makes a timeout a deadlock (Reading: deadlock)."""
@@ -99,7 +99,9 @@ def _record(
     is_deadlock = _stands_nose_to_nose(rows["speed_mps"], world, game)
     outcome = torch.where(is_deadlock, OUTCOMES.index("deadlock"), OUTCOMES.index("timeout"))
     outcome = torch.where(is_collision, OUTCOMES.index("collision"), outcome)
-    rows["outcome"] = torch.where(is_success, OUTCOMES.index("success"), outcome)
+    outcome = torch.where(is_success, OUTCOMES.index("success"), outcome)
+    has_social_collided = world.has_collided[:, EGO + 1 :].any(-1) & ~is_collision
+    rows["outcome"] = torch.where(has_social_collided, OUTCOMES.index("social_collision"), outcome)
     rows["n_steps"] = world.step
     rows["reached_step"] = _first_time(rows.pop("has_reached"))
     rows |= {"start_distance_m": tasks.start_distance, "style_horizon_s": tasks.style_horizon}
@@ -116,7 +118,7 @@ def _decide(
     before = map_tensors(lambda field: field.index_select(0, which), world)
     motion = drive_together(drivers, game.perceive(before))
     moved, events = game.step(before, motion.state)
-    moved = where_world(is_running, moved, before)
+    moved = tree_where(is_running, moved, before)
     world = map_tensors(lambda field, new: field.index_copy(0, which, new), world, moved)
     events = map_tensors(lambda field: field & is_running, events)
     return world, events, _decision_row(motion, events, reward_config, is_running)

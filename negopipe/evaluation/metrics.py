@@ -26,7 +26,7 @@ def episodes(trace: Trace, corridor_length_m: float) -> pd.DataFrame:
 
     planner, setting (the family's name), episode (index into the trace)
     ego_start_distance_m, social_start_distance_m, style_horizon_s: of the ego and the nearest social vehicle
-    outcome: success (all reached their targets, no collision) | collision | deadlock | timeout
+    outcome: success (all reached their targets, no collision) | collision | deadlock | timeout | social_collision
     n_decisions: until the episode ended
     ego_time_s, social_time_s: until the vehicle reached its target; NaN if it did not
     driving_time_s: the ego's time again, under the name of the paper's figure
@@ -115,10 +115,11 @@ def behaviour_index(trace: Trace) -> np.ndarray:
 def summary(table: pd.DataFrame) -> dict[str, Any]:
     """`evaluation.<setting>.<planner>.<measure>` as nested dicts of plain numbers, from rows of `episodes`.
 
-    success_rate, collision_rate, deadlock_rate, timeout_rate (deadlocks included), arrival_rate (the ego reached its
-    target), ego_first_rate (the ego passed first): shares of the episodes; of the first two also the bounds of the
-    Wilson interval, success_low, success_high and so on. driving_time_s of the ego, social_time_s: means over arrivals,
-    None if there are none. suspend_count, suspend_time_s, full_braking_count, reward: means over all episodes.
+    success_rate, collision_rate (of the ego), social_collision_rate (of social vehicles only), deadlock_rate,
+    timeout_rate (deadlocks included), arrival_rate (the ego reached its target), ego_first_rate (the ego passed first):
+    shares of the episodes; of the first two also the bounds of the Wilson interval, success_low, success_high and so
+    on. driving_time_s of the ego, social_time_s: means over arrivals, None if there are none. suspend_count,
+    suspend_time_s, full_braking_count, reward: means over all episodes.
     n_episodes. Of tables with the columns of `negopipe.evaluation.safety` also smallest_gap_m, smallest_ttc_s,
     largest_decel_mps2 and largest_jerk_mps3, means over the episodes that have one; and of all episodes the shares that
     end in a collision which the ego could have avoided (avoidable_rate), by who could: avoidable_by_ego_rate (alone),
@@ -142,6 +143,7 @@ def _measures(rows: pd.DataFrame) -> dict[str, float | int | None]:
         "collision_high": ended["collision"].high,
         "timeout_rate": share["deadlock"] + share["timeout"],
         "deadlock_rate": share["deadlock"],
+        "social_collision_rate": share["social_collision"],
         "arrival_rate": float(rows["driving_time_s"].notna().mean()),
         "ego_first_rate": float((rows["passes_first"] == "ego").mean()),
         **{name: _mean(rows[name]) for name in ("driving_time_s", "social_time_s")},

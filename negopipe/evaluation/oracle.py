@@ -21,7 +21,7 @@ from torch import Generator, Tensor
 from negopipe.env import Game
 from negopipe.reward import RewardConfig, reward
 from negopipe.schema import PositiveInt, schema
-from negopipe.simulation.state import EGO, Task, World, map_tensors, where_world
+from negopipe.simulation.state import EGO, Task, World, map_tensors, tree_where
 
 SHIFT_CHANCE = 0.3
 """How often a candidate has its later decisions moved in time, beside the pieces that are written over."""
@@ -132,7 +132,7 @@ def best_simple(rollouts: Rollouts, tasks: Task, may_switch_twice: bool = True) 
         parts = parts[(parts.diff(dim=1) != 0).all(1)]  # else one with fewer switches, which has been played
         part = sum((step >= at).long() for at in steps)
         found = _best(rollouts, tasks, parts[:, part].expand(len(tasks), -1, -1), best.score)
-        best = where_world(found.score >= best.score, found, best)
+        best = tree_where(found.score >= best.score, found, best)
     return best
 
 
@@ -143,7 +143,7 @@ def improve(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, r
     """
     tried = candidates(best, alike(tasks), rollouts.n_actions, population, random)
     found = _best(rollouts, tasks, tried, best.score)
-    return where_world(found.score >= best.score, found, best)
+    return tree_where(found.score >= best.score, found, best)
 
 
 def simplify(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, random: Generator) -> Sequences:
@@ -156,7 +156,7 @@ def simplify(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, 
     is_as_good = played.reward >= (best.reward - SAME_REWARD).repeat_interleave(population)
     n = torch.where(is_as_good & played.score.isfinite(), n_switches(played), rollouts.n_steps)
     rows = torch.arange(len(tasks), device=n.device) * population + n.reshape(-1, population).argmin(1)
-    return where_world(n[rows] < n_switches(best), map_tensors(lambda field: field[rows], played), best)
+    return tree_where(n[rows] < n_switches(best), map_tensors(lambda field: field[rows], played), best)
 
 
 def n_switches(sequences: Sequences) -> Tensor:

@@ -9,8 +9,9 @@ import numpy as np
 
 from negopipe.errors import UserError
 
-OUTCOMES = ("success", "collision", "deadlock", "timeout")
-"""Names of `Trace.outcome`: deadlock and timeout are both truncations; deadlock is the nose-to-nose kind."""
+OUTCOMES = ("success", "collision", "deadlock", "timeout", "social_collision")
+"""Names of `Trace.outcome`: deadlock and timeout are both truncations; deadlock is the nose-to-nose kind. A collision
+is one of the ego; a social collision is one among social vehicles only, whatever became of the ego."""
 
 ADAPTIVE = "adaptive"
 """`Trace.planner` of the planner whose prediction horizon the policy chooses."""

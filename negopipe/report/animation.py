@@ -27,6 +27,7 @@ from negopipe.report.figures import (
     OUTCOME_COLORS,
     QUIET,
     horizon_color,
+    outcome_label,
     planner_colors,
     planner_label,
     styled,
@@ -236,7 +237,7 @@ class _Panel:
     def _show_status(self, is_over: bool, position: np.ndarray, speed: np.ndarray) -> None:
         outcome = OUTCOMES[self.trace.outcome[self.episode]]
         seconds = self.trace.n_steps[self.episode] * self.trace.dt_s
-        ends = f"{outcome} after {seconds:.1f} s"
+        ends = f"{outcome_label(outcome)} after {seconds:.1f} s"
         drives = f"ego {speed[EGO]:.1f} m/s, social {speed[EGO + 1]:.1f} m/s"
         self.status.set_text(ends if is_over else drives)
         self.status.set_fontweight("bold" if is_over else "normal")

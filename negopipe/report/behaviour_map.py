@@ -7,16 +7,17 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Rectangle
 
 from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, Finding
-from negopipe.report.figures import INK, OUTCOME_COLORS, STYLE, WIDTH_IN, setting_label, styled
+from negopipe.report.figures import INK, OUTCOME_COLORS, STYLE, WIDTH_IN, outcome_legend, setting_label, styled
 
 RATES = {
     "success": "success_rate",
     "collision": "collision_rate",
     "deadlock": "deadlock_rate",
     "timeout": "other_timeout_rate",
+    "social_collision": "social_collision_rate",
 }
 """Outcome -> its column, in the order in which the parts of a cell are stacked."""
 
@@ -51,8 +52,7 @@ def behaviour_map(table: pd.DataFrame) -> Figure:
             _frame(axis, horizons, styles)
     figure.supxlabel("prediction horizon of the ego [s]", fontsize=STYLE["axes.labelsize"])
     figure.supylabel("prediction horizon of the social driver [s]", fontsize=STYLE["axes.labelsize"])
-    handles = [Patch(color=color, label=name) for name, color in OUTCOME_COLORS.items()]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
+    outcome_legend(figure, [outcome for outcome, rate in RATES.items() if table[rate].any()])
     return figure
 
 

@@ -11,7 +11,8 @@ CAPTIONS = {
     "outcomes": (
         "How the episodes ended",
         """Each bar is all episodes of a planner. Deadlock: both vehicles stand, facing each other;
-        timeout: any other episode that was not finished within the limit.""",
+        timeout: any other episode that was not finished within the limit. A collision is one of the ego; one
+        among the other vehicles only is a social collision, which costs the ego nothing.""",
     ),
     "success_by_style": (
         "Success against every style",

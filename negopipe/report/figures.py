@@ -8,7 +8,7 @@ common colour vision deficiencies (smallest CIE76 difference 27).
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from io import BytesIO
 from typing import Any
 
@@ -36,7 +36,13 @@ RIVAL_COLORS = {
     "oracle": "#8FBF3F",
 }
 OTHER_COLORS = tuple(RIVAL_COLORS.values())
-OUTCOME_COLORS = {"success": "#BFD9EA", "collision": "#D55E00", "deadlock": "#3C3C3C", "timeout": "#A8A8A8"}
+OUTCOME_COLORS = {
+    "success": "#BFD9EA",
+    "collision": "#D55E00",
+    "deadlock": "#3C3C3C",
+    "timeout": "#A8A8A8",
+    "social_collision": "#F2C14E",
+}
 INK, QUIET, CORRIDOR = "#222222", "#8A8A8A", "#EFEBE2"
 LONGEST_HORIZON_S = 6.0
 FIXED = re.compile(r"fixed_(\d+(?:\.\d+)?)")
@@ -94,6 +100,17 @@ def planner_colors(planners: Sequence[str]) -> dict[str, str]:
 def planner_label(planner: str) -> str:
     """`fixed_2` -> `fixed 2 s` (which breaks before the 2 only), other names without underscores."""
     return planner.replace("_", " ") + ("\N{NO-BREAK SPACE}s" if FIXED.fullmatch(planner) else "")
+
+
+def outcome_label(outcome: str) -> str:
+    """`social_collision` -> `social collision`."""
+    return outcome.replace("_", " ")
+
+
+def outcome_legend(figure: Figure, outcomes: Collection[str]) -> None:
+    """A legend above the figure of those of `outcomes`, in one order everywhere."""
+    handles = [Patch(color=c, label=outcome_label(name)) for name, c in OUTCOME_COLORS.items() if name in outcomes]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0, columnspacing=1.0)
 
 
 def setting_label(setting: str) -> str:
@@ -277,7 +294,7 @@ def space_time(traces: Sequence[Trace], episode: int, corridor_sigma_m: tuple[fl
     for axis, trace in zip(axes, traces, strict=True):
         axis.axhspan(*corridor_sigma_m, color=CORRIDOR, zorder=0)
         _space_time_lines(axis, trace, episode, half_m)
-        outcome = OUTCOMES[trace.outcome[episode]]
+        outcome = outcome_label(OUTCOMES[trace.outcome[episode]])
         axis.set_title(f"{planner_label(trace.planner)}: {outcome}")
         axis.set(xlim=(0, 1.03 * duration_s), ylim=(-road_end_m, road_end_m))
     for axis in axes[::2]:

@@ -19,6 +19,7 @@ from negopipe.report.figures import (
     OUTCOME_COLORS,
     QUIET,
     WIDTH_IN,
+    outcome_legend,
     planner_colors,
     planner_label,
     setting_label,
@@ -69,8 +70,7 @@ def outcomes(table: pd.DataFrame) -> Figure:
         _stacked_bars(axis, share.reindex(index=planners, columns=list(OUTCOMES), fill_value=0.0))
         axis.set_title(setting_label(setting))
     axes[-1].set_xlabel("episodes [%]")
-    handles = [Patch(color=color, label=name) for name, color in OUTCOME_COLORS.items()]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
+    outcome_legend(figure, table["outcome"].unique())
     return figure
 
 
@@ -148,9 +148,7 @@ def outcome_map(
     axis.set_ylabel("its style [s]")
     axis.set_title(title)
     axis.tick_params(axis="y", length=0)
-    shown = [name for name in OUTCOMES if (whole["outcome"] == name).any()]
-    handles = [Patch(color=OUTCOME_COLORS[name], label=name) for name in shown]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0)
+    outcome_legend(figure, whole["outcome"].unique())
     return figure
 
 

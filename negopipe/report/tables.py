@@ -54,6 +54,8 @@ ENDED = (
     Column("of these dead-lock [%]", "deadlock_rate", 100),
     Column("reward (Eq. 3)", "reward", 1, 2, "max"),
 )
+AMONG_OTHERS = Column("crash among others [%]", "social_collision_rate", 100)
+"""... where there was one."""
 DROVE = (
     Column("time of arrivals [s]", "driving_time_s"),
     Column("the other's time [s]", "social_time_s"),
@@ -88,8 +90,9 @@ def tables(
     measures: planner -> measures; versus: planner other than the policy -> differences to it
     regret: planner -> difference of the oracle to it
     """
+    has_crashed = any(each.get("social_collision_rate") for each in measures.values())
     tables_of_all = {
-        "How the episodes ended": ENDED,
+        "How the episodes ended": (*ENDED, AMONG_OTHERS) if has_crashed else ENDED,
         "How the ego drove": DROVE,
         "Closest and hardest of each episode, and decisions without a feasible plan (full braking): means": CAME_CLOSE,
     }

@@ -1,7 +1,6 @@
 """How a vehicle gets from its state to the one its driver wants a control step later: exactly, or as a car does."""
 
 import math
-from functools import partial
 from typing import Annotated, Literal, Protocol
 
 import torch
@@ -10,7 +9,7 @@ from torch import Tensor
 
 from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
-from negopipe.simulation.state import VehicleState, map_tensors
+from negopipe.simulation.state import VehicleState, tree_where
 
 SteerDegrees = Annotated[float, Field(gt=0, lt=90)]
 
@@ -108,7 +107,7 @@ class Bicycle:
         queue = torch.cat([queue, self.command(vehicles, wanted)[:, None]], dim=1)
         moved = self.actuate(vehicles, queue[:, 0])
         is_lost = (moved.position - wanted.position).norm(dim=-1) > self.config.replan_distance_m
-        return moved, map_tensors(partial(_where, is_lost), moved, wanted), queue[:, 1:]
+        return moved, tree_where(is_lost, moved, wanted), queue[:, 1:]
 
     def command(self, vehicles: VehicleState, wanted: VehicleState) -> Tensor:
         """[E, V, 2] float32: acceleration (m/s2) and steering angle (rad) that lead to the state wanted.
@@ -147,10 +146,6 @@ class Bicycle:
             speed = torch.where(moving_s < h, 0.0, (speed + accel * h).clamp(min=0))
             accel = torch.where((speed == 0) & (accel < 0), 0.0, accel)  # brakes hold, they do not push back
         return VehicleState(position, yaw, speed, accel, curvature)
-
-
-def _where(mask: Tensor, chosen: Tensor, other: Tensor) -> Tensor:
-    return torch.where(mask.reshape(*mask.shape, *[1] * (chosen.dim() - mask.dim())), chosen, other)
 
 
 def _along_arc(position: Tensor, yaw: Tensor, curvature: Tensor, travelled: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.dynamics import Dynamics
-from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
 from negopipe.simulation.perception import other_columns
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import ScenarioConfig
-from negopipe.simulation.state import AT_REST_MPS, Task, VehicleState, World
+from negopipe.simulation.state import AT_REST_MPS, EGO, Task, VehicleState, World, map_tensors, tree_where
 
 SETTLING_S = 1.0
 """Start of an episode in which rest does not count as being stuck: a task may start vehicles from rest."""
@@ -24,14 +24,18 @@ SETTLING_S = 1.0
 class Events:
     """What a step led to, per world.
 
-    is_success: [E] bool, every vehicle has reached its target and none has collided
-    is_collision: [E] bool, footprints overlap, or one left the road or hit a parked car
+    is_success: [E] bool, every vehicle has reached its target and none has collided; after a collision among social
+        vehicles the ego's arrival is enough
+    is_collision: [E] bool, the ego has touched another vehicle, a parked car or a kerb
+    is_social_collision: [E] bool, only social vehicles have collided, now or earlier in the episode
     is_terminated: [E] bool, success or collision
-    is_truncated: [E] bool, the time limit ended an episode that was not terminated
+    is_truncated: [E] bool, an episode that was not terminated is over: by the time limit, or because a collision among
+        social vehicles has closed the ego's way
     """
 
     is_success: Tensor
     is_collision: Tensor
+    is_social_collision: Tensor
     is_terminated: Tensor
     is_truncated: Tensor
 
@@ -50,7 +54,8 @@ class Simulator:
         self.dynamics = dynamics
         self.history_steps = history_steps
         self.road = Road(scenario.road, device)
-        self._others = other_columns(1 + scenario.n_social, device)
+        others = other_columns(1 + scenario.n_social, device)
+        self.collisions = CollisionCheck(self.road, scenario.vehicle, scenario.dt_s, others)
 
     def reset(self, task: Task) -> World:
         """Worlds [E] at the start of their tasks: own lane, along the road, at start speed."""
@@ -74,8 +79,17 @@ class Simulator:
         )
 
     def step(self, world: World, wanted: VehicleState) -> tuple[World, Events]:
-        """Move every vehicle towards `wanted` [E, V], the state its driver wants one `dt_s` later."""
+        """Move every vehicle towards `wanted` [E, V], the state its driver wants one `dt_s` later.
+
+        Social vehicles that have collided stand still while the episode goes on.
+        """
         motion, reference, command_queue = self.dynamics.move(world.vehicles, wanted, world.command_queue)
+        still = torch.zeros_like(world.vehicles.speed)
+        at_rest = replace(world.vehicles, speed=still, accel=still)
+        is_wreck = world.has_collided & ~world.has_collided[:, EGO : EGO + 1]
+        motion, reference = (tree_where(is_wreck, at_rest, state) for state in (motion, reference))
+        contact = self.collisions.first_contact(world.vehicles, motion)
+        motion = self.collisions.moved_until(contact, world.vehicles, motion)
         s = self.road.progress(motion.position, world.task.direction)
         has_reached = world.has_reached | (s >= self.road.target_s_m)
         rest_steps, has_switched = self._styles(world, motion)
@@ -85,33 +99,14 @@ class Simulator:
             task=world.task,
             step=world.step + 1,
             has_reached=has_reached,
-            has_collided=world.has_collided | self.collides(motion),
+            has_collided=world.has_collided | contact.isfinite(),
             rest_steps=rest_steps,
             has_switched=has_switched,
             pose_history=torch.cat([_pose(motion)[:, None], world.pose_history[:, :-1]], dim=1),
             speed_history=torch.cat([motion.speed[:, None], world.speed_history[:, :-1]], dim=1),
             command_queue=command_queue,
         )
-        return moved, self._events(moved)
-
-    def collides(self, vehicles: VehicleState) -> Tensor:
-        """[E, V] bool: the true oriented footprint touches another vehicle, a parked car or the kerb."""
-        size = self.scenario.vehicle
-        x, y = vehicles.position.unbind(-1)
-        boxes = boxes_from_pose(x, y, vehicles.yaw, size.length_m, size.width_m)
-
-        def column(field: Tensor) -> Tensor:
-            return field[..., None]
-
-        own = boxes._replace(x=column(x), y=column(y), cos=column(boxes.cos), sin=column(boxes.sin))
-        others = own._replace(
-            x=x[:, self._others],
-            y=y[:, self._others],
-            cos=boxes.cos[:, self._others],
-            sin=boxes.sin[:, self._others],
-        )
-        hits_parked = (overlap_depth(own, self.road.parked_boxes()) > 0).any(-1)
-        return (overlap_depth(own, others) > 0).any(-1) | hits_parked | self.road.is_off_road(boxes)
+        return moved, self._events(moved, s)
 
     def _repeat(self, start: Tensor) -> Tensor:
         """[E, ...] -> [E, K, ...]: a history in which nothing has happened yet."""
@@ -126,12 +121,26 @@ class Simulator:
         has_lost_patience = is_stuck & (rest_steps * dt > world.task.patience - dt / 2)
         return rest_steps, world.has_switched | has_lost_patience | (time > world.task.switch_time - dt / 2)
 
-    def _events(self, world: World) -> Events:
-        is_collision = world.has_collided.any(-1)
-        is_success = world.has_reached.all(-1) & ~is_collision
+    def _events(self, world: World, s: Tensor) -> Events:
+        """s: [E, V] m, of the vehicles on their routes"""
+        has_arrived, has_collided = world.has_reached, world.has_collided
+        is_collision = has_collided[:, EGO]
+        is_social_collision = has_collided[:, EGO + 1 :].any(-1) & ~is_collision
+        is_success = has_arrived.all(-1) | (is_social_collision & has_arrived[:, EGO])
+        is_success = is_success & ~is_collision
         is_terminated = is_collision | is_success
-        is_over = world.step >= self.scenario.episode_steps
-        return Events(is_success, is_collision, is_terminated, is_over & ~is_terminated)
+        is_over = (world.step >= self.scenario.episode_steps) | (
+            is_social_collision & self._is_closed(world, s[:, EGO])
+        )
+        return Events(is_success, is_collision, is_social_collision, is_terminated, is_over & ~is_terminated)
+
+    def _is_closed(self, world: World, s: Tensor) -> Tensor:
+        """[E] bool: a vehicle that has collided stands on the route of the ego, which is at `s` [E] (m)."""
+        wrecks = map_tensors(lambda field: field[:, EGO + 1 :], world.vehicles)
+        direction = world.task.direction[:, EGO : EGO + 1]
+        is_ahead = self.road.progress(wrecks.position, direction) > s[:, None]
+        is_on_route = self.collisions.stands_on_route(wrecks, direction)
+        return (world.has_collided[:, EGO + 1 :] & is_ahead & is_on_route).any(-1)
 
 
 def _pose(vehicles: VehicleState) -> Tensor:

@@ -170,10 +170,10 @@ def tensors(tree: Any) -> list[Tensor]:
     return [leaf for branch in branches for leaf in tensors(branch)]
 
 
-def where_world(mask: Tensor, chosen: T, other: T) -> T:
-    """Per world: `chosen` where `mask` [E] is true, else `other` (worlds whose episode is over stay as they are)."""
+def tree_where(mask: Tensor, chosen: T, other: T) -> T:
+    """`chosen` where `mask` is true, else `other`; the mask has the first axes of all their tensors, [E] or [E, V]."""
 
     def pick(a: Tensor, b: Tensor) -> Tensor:
-        return torch.where(mask.reshape(-1, *[1] * (a.dim() - 1)), a, b)
+        return torch.where(mask.reshape(*mask.shape, *[1] * (a.dim() - mask.dim())), a, b)
 
     return map_tensors(pick, chosen, other)

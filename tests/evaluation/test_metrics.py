@@ -149,6 +149,7 @@ def test_summary_by_hand() -> None:
         "collision_high": pytest.approx(high, abs=1e-4),
         "timeout_rate": 0.5,
         "deadlock_rate": 0.25,
+        "social_collision_rate": 0.0,
         "arrival_rate": 0.5,
         "ego_first_rate": 0.5,
         "driving_time_s": 14.0,

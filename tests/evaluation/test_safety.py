@@ -13,10 +13,9 @@ from negopipe.evaluation.safety import (
     footprints,
     safety,
     smallest_gap,
-    time_to_collision,
 )
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
+from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, time_to_collision
 from negopipe.simulation.scenario import VehicleConfig
 
 VEHICLE = VehicleConfig(length_m=4.0, width_m=2.0)

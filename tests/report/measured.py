@@ -15,6 +15,7 @@ def measures(success: float, collision: float, time_s: float | None, n: int = 10
         "collision_high": min(collision + half, 1.0),
         "timeout_rate": 1 - success - collision,
         "deadlock_rate": 0.0,
+        "social_collision_rate": 0.0,
         "arrival_rate": success,
         "ego_first_rate": 0.5,
         "driving_time_s": time_s,

@@ -153,7 +153,8 @@ def test_what_is_shown_depends_on_what_there_is(run: RecordedRun, table: pd.Data
     (run.folder / "history.csv").unlink()
     cells = [
         {"setting": "push", "ego_horizon_s": horizon, "social_style_s": 0.0, "success_rate": 1.0, "collision_rate": 0.0}
-        | {"deadlock_rate": 0.0, "other_timeout_rate": 0.0, "ego_passes_first_rate": 1.0, "smallest_gap_m": horizon}
+        | {"deadlock_rate": 0.0, "other_timeout_rate": 0.0, "social_collision_rate": 0.0}
+        | {"ego_passes_first_rate": 1.0, "smallest_gap_m": horizon}
         for horizon in (0.0, 6.0)
     ]
     pd.DataFrame(cells).to_csv(run.folder / "behaviour_map.csv", index=False)

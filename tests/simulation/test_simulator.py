@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from games import draw_tasks
+from games import draw_tasks, place
 
 from negopipe.config import RunConfig
 from negopipe.env import Game
@@ -33,7 +33,7 @@ def test_reset_places_vehicles_in_their_lanes(config: RunConfig, game: Game) -> 
     lane = torch.full_like(distance, -config.scenario.road.lane_offset_m) * task.direction
     torch.testing.assert_close(world.vehicles.position[..., 1], lane, atol=0.02, rtol=0)
     torch.testing.assert_close(world.vehicles.speed, task.start_speed)
-    assert not game.simulator.collides(world.vehicles).any()
+    assert not game.simulator.collisions.touches(world.vehicles).any()
     expected = world.pose_history[:, :1].expand_as(world.pose_history)
     torch.testing.assert_close(world.pose_history, expected)
 
@@ -58,7 +58,8 @@ def test_collisions_by_hand(
     social: tuple[float, float, float],
     hits: list[bool],
 ) -> None:
-    after, events = game.simulator.step(world, placed(ego, social))
+    there = placed(ego, social)
+    after, events = game.simulator.step(place(world, there), there)
     assert after.has_collided[0].tolist() == hits
     assert bool(events.is_collision) == any(hits)
     assert bool(events.is_terminated) == any(hits)
@@ -66,12 +67,13 @@ def test_collisions_by_hand(
 
 def test_success_needs_everyone(config: RunConfig, game: Game, world: World) -> None:
     beyond = config.scenario.road.corridor_length_m / 2 + config.scenario.road.target_distance_m + 0.1
-    ego_there = (beyond, -1.75, 0.0)
-    one, events = game.simulator.step(world, placed(ego_there, (20.0, 1.75, math.pi)))
+    before = place(world, placed((beyond - 1, -1.75, 0.0), (20.0, 1.75, math.pi)))
+    one, events = game.simulator.step(before, placed((beyond, -1.75, 0.0), (20.0, 1.75, math.pi)))
     assert one.has_reached.tolist() == [[True, False]]
     assert not events.is_terminated
     # a vehicle that has arrived stays arrived, wherever it drives then
-    both, events = game.simulator.step(one, placed((beyond + 40, -1.75, 0.0), (-beyond, 1.75, math.pi)))
+    before = place(one, placed((beyond - 8, -1.75, 0.0), (1 - beyond, 1.75, math.pi)))
+    both, events = game.simulator.step(before, placed((beyond - 8, -1.75, 0.0), (-beyond, 1.75, math.pi)))
     assert both.has_reached.all()
     assert events.is_success
     assert events.is_terminated
