@@ -89,6 +89,7 @@ class Simulator:
         is_wreck = world.has_collided & ~world.has_collided[:, EGO : EGO + 1]
         motion, reference = (tree_where(is_wreck, at_rest, state) for state in (motion, reference))
         contact = self.collisions.first_contact(world.vehicles, motion)
+        contact = torch.where(world.has_collided, torch.inf, contact)
         motion = self.collisions.moved_until(contact, world.vehicles, motion)
         s = self.road.progress(motion.position, world.task.direction)
         has_reached = world.has_reached | (s >= self.road.target_s_m)

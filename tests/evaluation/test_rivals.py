@@ -82,6 +82,28 @@ def test_who_gets_through(
     assert OUTCOMES[int(trace.outcome[0])] == outcome
 
 
+@pytest.mark.parametrize("overrides", [["scenario=one_sided"], ["perception.dropout_probability=0.02"]])
+def test_cautious_waits_where_the_other_can_pass_and_goes_on_waiting(
+    rivals: dict[str, Rival], overrides: list[str]
+) -> None:
+    # without a waiting place made for the street, and with one missed sighting as a reason to go, about a third crash
+    config = compose_config(overrides)
+    task = draw_tasks(config, 16)
+    blind = replace(task, style_horizon=torch.zeros_like(task.style_horizon))
+    trace = drive(config, build_game(config), rivals["cautious"], blind)
+    assert [OUTCOMES[outcome] for outcome in trace.outcome] == ["success"] * 16
+
+
+@pytest.mark.parametrize(
+    ("scenario", "side", "waiting_m"),
+    [("narrow_lane", 1.0, -9.0), ("one_sided", 1.0, -10.25), ("one_sided", -1.0, -9.5)],
+)
+def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: float, waiting_m: float) -> None:
+    simulator = build_game(compose_config([f"scenario={scenario}"])).simulator
+    assert cautious.waiting_place(simulator, -9.0, side) == waiting_m
+    assert cautious.waiting_place(simulator, 0.0, side) < -5.0  # in the corridor nobody can pass
+
+
 def test_only_horizons_that_a_rival_names_are_used(config: RunConfig, brief: Game, rivals: dict[str, Rival]) -> None:
     task = draw_tasks(config, 2, seed=3)
     short = replace(rivals["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]
@@ -192,7 +214,7 @@ def test_it_waits_for_who_could_be_there_too_soon(
     own = RouteState(-10 * one, 5 * one, 0 * one, 0 * one, 0 * one, 0 * one)
     met = Encounter(own, -other_m * one[None], 7.5 * one[None], 58 * one[None], one[None] > 0)
     driver = cautious.CautiousDriver(game, replace(usual, margin_s=margin_s))
-    line = driver.stop_line(met, 6 * one)
+    line = driver.stop_line(met, one, 6 * one)
     assert line.gap_m.item() == pytest.approx(gap_m)  # to s = -9 m, and 2 m that it would keep
     assert line.closing_mps.item() == 5.0
 
