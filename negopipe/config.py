@@ -27,7 +27,7 @@ from negopipe.planner.frenet import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
 from negopipe.reward import RewardConfig
-from negopipe.schema import FileName, Label, PathText, PositiveInt, Seed, schema
+from negopipe.schema import Distinct, FileName, Label, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
@@ -42,6 +42,9 @@ EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 
 N_STEPS = 1000
 """Of a plan, a delay or between two frames, at most: all are held in memory and some are gone through one by one."""
+
+WHOLE = 1e-6
+"""Control steps by which a time may miss a whole number of them: what floats round."""
 
 LONGEST_EPISODE_S = 3600.0
 """Animations show episodes in real time, frame by frame."""
@@ -73,8 +76,8 @@ class RunConfig:
     name: FileName
     seed: Seed
     outputs: PathText
-    stages: Annotated[tuple[Stage, ...], Field(min_length=1)]
-    objective: Annotated[tuple[str, ...], Field(min_length=1)]
+    stages: Annotated[tuple[Stage, ...], Field(min_length=1), Distinct]
+    objective: Annotated[tuple[str, ...], Field(min_length=1), Distinct]
     checkpoint: PathText | None
     episode: EpisodeText | None
     runs: Label | None
@@ -152,6 +155,14 @@ def check_components(config: RunConfig) -> None:
 
 def _check_horizons(config: RunConfig) -> None:
     """Nobody predicts farther than plans reach: a longer horizon would act like H_plan under another name."""
+    planned = config.planner.horizon_s
+    for key, values in _horizons(config).items():
+        if max(values, default=0.0) > planned:
+            raise UserError(f"{key} must be at most planner.horizon_s = {planned}, got {max(values)}")
+
+
+def _horizons(config: RunConfig) -> dict[str, tuple[float, ...]]:
+    """Prediction horizons of all that drives, s, by key."""
     horizons = {"policy.horizons_s": config.policy.horizons_s}
     horizons |= {f"evaluation.rivals.{name}": rival.horizons_s for name, rival in config.evaluation.rivals.items()}
     places = {"scenario": config.scenario.families}
@@ -165,14 +176,11 @@ def _check_horizons(config: RunConfig) -> None:
     if "behaviour_map" in config.stages:
         horizons["behaviour_map.horizons_s"] = tuple(config.behaviour_map.horizons_s)
         horizons["behaviour_map.styles_s"] = tuple(config.behaviour_map.styles_s)
-    planned = config.planner.horizon_s
-    for key, values in horizons.items():
-        if max(values, default=0.0) > planned:
-            raise UserError(f"{key} must be at most planner.horizon_s = {planned}, got {max(values)}")
+    return horizons
 
 
 def _check_times(config: RunConfig) -> None:
-    """What is remembered or passed on at control steps happens at control steps."""
+    """What is predicted, remembered or passed on at control steps ends at one: else it would act like another time."""
     dt, planned = config.scenario.dt_s, config.planner.horizon_s
     if not dt <= planned <= N_STEPS * dt:
         allowed = f"between scenario.dt_s = {dt} and {N_STEPS} times as much"
@@ -181,19 +189,24 @@ def _check_times(config: RunConfig) -> None:
     if n_steps * dt > LONGEST_EPISODE_S:
         allowed = f"{LONGEST_EPISODE_S:g} s / scenario.dt_s = {LONGEST_EPISODE_S / dt:g}"
         raise UserError(f"scenario.episode_steps must be at most {allowed}, got {n_steps}")
-    times = {
+    remembered = {
         "observation.frame_interval_s": config.observation.frame_interval_s,
         "perception.accel_window_s": config.perception.accel_window_s,
         "perception.delay_s": config.perception.delay_s,
     }
     if isinstance(config.dynamics, BicycleConfig):
-        times["dynamics.actuation_delay_s"] = config.dynamics.actuation_delay_s
-    for key, time in times.items():
-        n_steps = round(time / dt)
-        if n_steps > N_STEPS:
+        remembered["dynamics.actuation_delay_s"] = config.dynamics.actuation_delay_s
+    for key, time in remembered.items():
+        if time > (N_STEPS + 0.5) * dt:
             raise UserError(f"{key} must be at most {N_STEPS} times scenario.dt_s = {dt}, got {time}")
-        if abs(time - n_steps * dt) > 1e-6 or (n_steps == 0 and time > 0):
-            raise UserError(f"{key} must be a multiple of scenario.dt_s = {dt}, got {time}")
+    times = {key: (time,) for key, time in {"planner.horizon_s": planned, **remembered}.items()}
+    for name, rival in config.evaluation.rivals.items():
+        times |= {f"evaluation.rivals.{name}.{key}": (time,) for key, time in rival.times_s.items()}
+    for key, values in (times | _horizons(config)).items():
+        for time in values:
+            n_steps = round(time / dt)
+            if abs(time / dt - n_steps) > WHOLE or (n_steps == 0 and time > 0):
+                raise UserError(f"{key} must be a multiple of scenario.dt_s = {dt}, got {time}")
 
 
 def _check_grids(config: RunConfig) -> None:

@@ -141,6 +141,43 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             ["dynamics=bicycle", "dynamics.actuation_delay_s=0.1"],
             "dynamics.actuation_delay_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
         ),
+        (["policy.horizons_s=[0.1,2.0]"], "policy.horizons_s must be a multiple of scenario.dt_s = 0.2, got 0.1"),
+        (["policy.horizons_s=[1e-9,2.0]"], "policy.horizons_s must be a multiple of scenario.dt_s = 0.2, got 1e-09"),
+        (["planner.horizon_s=6.5"], "planner.horizon_s must be a multiple of scenario.dt_s = 0.2, got 6.5"),
+        (["evaluation.rivals.fixed_2.horizon_s=2.1"], "evaluation.rivals.fixed_2 must be a multiple of scenario.dt_s"),
+        (
+            ["evaluation/rival=random", "evaluation.rivals.random.keep_s=0.1", "report.side_by_side=[]"],
+            "evaluation.rivals.random.keep_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+        ),
+        (
+            ["evaluation/rival=level_k", "evaluation.rivals.level_k.lookahead_s=0.5", "report.side_by_side=[]"],
+            "evaluation.rivals.level_k.lookahead_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
+        ),
+        (
+            ["scenario.families.push.style_horizon_s=[0.1]"],
+            "scenario.families.push.style_horizon_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+        ),
+        (
+            ["scenario.families.mixture_switching.style_switch.style_horizon_s=[5.9]"],
+            "scenario.families.mixture_switching.style_switch.style_horizon_s must be a multiple of scenario.dt_s",
+        ),
+        (
+            ["stages=[behaviour_map]", "behaviour_map.styles_s=[0.3]"],
+            "behaviour_map.styles_s must be a multiple of scenario.dt_s = 0.2, got 0.3",
+        ),
+        (["policy.horizons_s=[0,0,2]"], "policy.horizons_s must name every value once, not 0.0 again, got [0, 0, 2]"),
+        (["evaluation.settings=[push,push]"], "evaluation.settings must name every value once, not push again"),
+        (["stages=[train,train]"], "stages must name every value once, not train again"),
+        (["report.side_by_side=[fixed_2,fixed_2]"], "report.side_by_side must name every value once, not fixed_2 "),
+        (["report.figure_formats=[png,png]"], "report.figure_formats must name every value once, not png again"),
+        (["oracle.settings=[push,push]"], "oracle.settings must name every value once, not push again"),
+        (["benchmark.n_worlds=[1,1]"], "benchmark.n_worlds must name every value once, not 1 again"),
+        (["scenario.ego_start_distance_m=[0,5]"], "scenario.ego_start_distance_m.0 must be greater than 0, got 0"),
+        (
+            ["scenario.families.push.start_distance_m=[0,0]"],
+            "scenario.families.push.start_distance_m.0 must be greater than 0, got 0",
+        ),
+        (["scenario.desired_speed_mps=[0,6]"], "scenario.desired_speed_mps.0 must be greater than 0, got 0"),
         (["perception.delay_s=0.3"], "perception.delay_s must be a multiple of scenario.dt_s = 0.2, got 0.3"),
         (["perception.accel_window_s=0.05"], "perception.accel_window_s must be a multiple of scenario.dt_s = 0.2, "),
         (
@@ -194,7 +231,7 @@ def test_a_run_is_named_for_what_its_result_depends_on() -> None:
     for override in ("outputs=elsewhere", "stages=[report]", "n_threads=7", "name=other"):
         assert run_name(build(override)) == same, override
     assert run_name(build("seed=7")) == same.replace("seed1", "seed7")
-    for override in ("checkpoint=there", "planner.horizon_s=6.5", "compile='off'", "device=cpu"):
+    for override in ("checkpoint=there", "planner.horizon_s=6.4", "compile='off'", "device=cpu"):
         assert run_name(build(override)) != same, override
 
 

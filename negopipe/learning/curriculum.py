@@ -9,7 +9,7 @@ from pydantic import Field
 
 from negopipe.learning.demonstrations import DemonstrationsConfig
 from negopipe.reward import RewardConfig
-from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
+from negopipe.schema import Fraction, Interval, Label, PositiveInt, PositiveMetresInterval, schema
 from negopipe.simulation.scenario import Families, ScenarioConfig
 
 
@@ -31,7 +31,7 @@ class CurriculumStageConfig:
 class StartsConfig:
     """How training starts its tasks beside what the families say; the evaluation's starts are the scenario's."""
 
-    ego_start_distance_m: Interval
+    ego_start_distance_m: PositiveMetresInterval
     start_speed_mps: Interval
 
 

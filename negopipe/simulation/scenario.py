@@ -10,7 +10,17 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from negopipe.errors import UserError
-from negopipe.schema import FileName, Interval, NonNegativeFloat, PositiveFloat, PositiveInt, PositiveMetres, schema
+from negopipe.schema import (
+    FileName,
+    Interval,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    PositiveInterval,
+    PositiveMetres,
+    PositiveMetresInterval,
+    schema,
+)
 from negopipe.simulation.road import RoadConfig
 from negopipe.simulation.state import EGO, Task
 
@@ -59,7 +69,7 @@ class FamilyConfig:
     """
 
     weight: PositiveFloat
-    start_distance_m: Interval
+    start_distance_m: PositiveMetresInterval
     gaps_m: list[Interval]
     style_horizon_s: Styles
     style_switch: StyleSwitchConfig | None
@@ -100,9 +110,9 @@ class ScenarioConfig:
     social_spacing_m: PositiveMetres
     road: RoadConfig
     vehicle: VehicleConfig
-    ego_start_distance_m: Interval
+    ego_start_distance_m: PositiveMetresInterval
     start_speed_mps: Interval
-    desired_speed_mps: Interval
+    desired_speed_mps: PositiveInterval
     pairing: Literal["ego_behaviour", "literal"]
     families: Annotated[Families, Field(min_length=1)]
 
