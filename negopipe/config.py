@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field, TypeAdapter, ValidationError
 
-from negopipe.config_errors import explain_composition, explain_validation, shown
+from negopipe.config_errors import explain_composition, explain_validation, misread, shown
 from negopipe.env import CHUNKS
 from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
@@ -108,19 +108,22 @@ class RunConfig:
         return {name: self.scenario.families[name] for name in self.evaluation.settings}
 
 
-def load(composed: DictConfig) -> RunConfig:
+def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
     """Check what Hydra composed and freeze it; UserError names every key that is wrong, in one line.
 
     Types are strict: a text is no number and `true` is no 1.
+    typed: the overrides that it was composed with, for errors that tell how to write them
     """
     try:
         values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
         raise UserError(explain_composition(error)) from error
+    if problem := misread(values):
+        raise UserError(problem)
     try:
         config = TypeAdapter(RunConfig).validate_json(json.dumps(values), strict=True)
     except ValidationError as error:
-        raise UserError(explain_validation(error, RunConfig)) from error
+        raise UserError(explain_validation(error, RunConfig, typed)) from error
     check_components(config)
     return config
 

@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 
 from negopipe import CONF
 from negopipe.config import RESULT_NEUTRAL, RunConfig, as_mapping, load, run_name
-from negopipe.config_errors import unknown_key
+from negopipe.config_errors import as_text, unknown_key
 from negopipe.errors import UserError
 from negopipe.gym_env import compose_config
 
@@ -75,6 +75,11 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             "checkpoint must begin with the name of a user where it begins with ~, got",
         ),
         ([f"outputs={'x' * 300}"], "outputs must be a path of printable characters, at most 1000 in all and 255 byt"),
+        (
+            ["+scenario.families={2024_05: ${scenario.families.push}}"],
+            "scenario.families must have texts as names, got 202405: in double quotes it is a text",
+        ),
+        (["objective=[1e3]"], "objective.0 must be a valid string, got 1000.0, which is a text in double quotes"),
         (["+scenario.families={a b: null}"], "scenario.families.a b must match pattern"),
         (["planner.cost.jerk=1e39"], "planner.cost.jerk must be less than or equal to 1000000, got 1e+39"),
         (["algorithm.kl_clip=1e-300"], "algorithm.kl_clip must be at least 1e-06, got 1e-300"),
@@ -209,6 +214,21 @@ def test_a_wrong_value_is_named_with_what_is_allowed(overrides: list[str], line:
         build(*overrides)
     assert str(error.value).startswith(line)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["a=b", "x#y", "model=2.pt", "/tmp/ä b", "2024_05", "null", "a'b", 'a"b', "a\\", "a,b", "~/x", "a&b;c!d<e"]
+)
+def test_what_is_said_of_a_text_is_read_as_that_text(text: str) -> None:
+    suggested = as_text(f"outputs={text}")
+    assert suggested is not None
+    (word,) = shlex.split(suggested)
+    assert build(word).outputs == text
+
+
+@pytest.mark.parametrize("override", ["seed=[1", "outputs='a", "x y=3", "name", "name=", f"name={'=' * 300}"])
+def test_nothing_is_said_where_quotes_are_not_what_is_missing(override: str) -> None:
+    assert as_text(override) is None
 
 
 @pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "scenario.families.mixture.foo"])
