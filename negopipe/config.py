@@ -31,20 +31,19 @@ from negopipe.schema import Distinct, FileName, Label, PathText, PositiveInt, Se
 from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
+from negopipe.simulation.starts import check_starts
 from negopipe.tracking.store import TrackingConfig
 
 Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "benchmark"]
 
-
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 """<setting>/<planner>/<number>, columns of episodes.csv."""
 
-
 N_STEPS = 1000
-"""Of a plan, a delay or between two frames, at most: all are held in memory and some are gone through one by one."""
+"""Of a plan, a delay or between two frames, at most: all are held in memory."""
 
 WHOLE = 1e-6
-"""Control steps by which a time may miss a whole number of them: what floats round."""
+"""Of control steps a time is a whole number, but for what floats round."""
 
 LONGEST_EPISODE_S = 3600.0
 """Animations show episodes in real time, frame by frame."""
@@ -116,12 +115,11 @@ def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
     """
     try:
         values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+        if problem := misread(values):
+            raise UserError(problem)
+        config = TypeAdapter(RunConfig).validate_json(json.dumps(values), strict=True)
     except OmegaConfBaseException as error:
         raise UserError(explain_composition(error)) from error
-    if problem := misread(values):
-        raise UserError(problem)
-    try:
-        config = TypeAdapter(RunConfig).validate_json(json.dumps(values), strict=True)
     except ValidationError as error:
         raise UserError(explain_validation(error, RunConfig, typed)) from error
     check_components(config)
@@ -154,6 +152,7 @@ def check_components(config: RunConfig) -> None:
     _check_sizes(config)
     _check_evaluation(config)
     _check_oracle(config)
+    _check_starts(config)
 
 
 def _check_horizons(config: RunConfig) -> None:
@@ -370,6 +369,16 @@ def _check_oracle(config: RunConfig) -> None:
         _check_searched("evaluation.reward", config.evaluation.reward, "the stage oracle")
     if "train" in config.stages and config.curriculum.demonstrations is not None:
         _check_searched("reward", config.reward, "curriculum.demonstrations")
+
+
+def _check_starts(config: RunConfig) -> None:
+    """No task that is driven is lost before it begins."""
+    searched = config.oracle.settings if "oracle" in config.stages else ()
+    names = {f"scenario.families.{name}": name for name in (*config.evaluation.settings, *searched)}
+    driven = {key: config.scenario.families[name] for key, name in names.items()}
+    check_starts(config.scenario, driven, "scenario.ego_start_distance_m")
+    if "train" in config.stages:
+        config.curriculum.check_starts(config.scenario)
 
 
 def _check_searched(key: str, paid: RewardConfig, user: str) -> None:

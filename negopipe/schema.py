@@ -85,7 +85,6 @@ Label = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_is_p
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
 Interval = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_is_ordered)]
 PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_is_ordered)]
-PositiveMetresInterval = Annotated[tuple[PositiveMetres, PositiveMetres], AfterValidator(_is_ordered)]
 Distinct = AfterValidator(_has_no_twins)
 """Annotation of a list in which a value that comes twice would be done twice, or be two of one name."""
 PathText = Annotated[str, Field(min_length=1), AfterValidator(_is_path)]

@@ -177,10 +177,10 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["report.figure_formats=[png,png]"], "report.figure_formats must name every value once, not png again"),
         (["oracle.settings=[push,push]"], "oracle.settings must name every value once, not push again"),
         (["benchmark.n_worlds=[1,1]"], "benchmark.n_worlds must name every value once, not 1 again"),
-        (["scenario.ego_start_distance_m=[0,5]"], "scenario.ego_start_distance_m.0 must be greater than 0, got 0"),
+        (["scenario.ego_start_distance_m=[0,5]"], "scenario.ego_start_distance_m must be greater than 0, wh"),
         (
             ["scenario.families.push.start_distance_m=[0,0]"],
-            "scenario.families.push.start_distance_m.0 must be greater than 0, got 0",
+            "scenario.families.push.start_distance_m must be greater than 0, where the corridor begins, got [0.0, 0.0]",
         ),
         (["scenario.desired_speed_mps=[0,6]"], "scenario.desired_speed_mps.0 must be greater than 0, got 0"),
         (["perception.delay_s=0.3"], "perception.delay_s must be a multiple of scenario.dt_s = 0.2, got 0.3"),

@@ -23,7 +23,7 @@ FLOORS = (
         "observation",
         "reward",
     ),
-    ("simulation.simulator",),
+    ("simulation.simulator", "simulation.starts"),
     ("chunks",),
     ("driver", "env", "learning.curriculum"),
     ("evaluation", "report", "tracking"),

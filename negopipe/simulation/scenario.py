@@ -18,7 +18,6 @@ from negopipe.schema import (
     PositiveInt,
     PositiveInterval,
     PositiveMetres,
-    PositiveMetresInterval,
     schema,
 )
 from negopipe.simulation.road import RoadConfig
@@ -69,7 +68,7 @@ class FamilyConfig:
     """
 
     weight: PositiveFloat
-    start_distance_m: PositiveMetresInterval
+    start_distance_m: Interval
     gaps_m: list[Interval]
     style_horizon_s: Styles
     style_switch: StyleSwitchConfig | None
@@ -110,7 +109,7 @@ class ScenarioConfig:
     social_spacing_m: PositiveMetres
     road: RoadConfig
     vehicle: VehicleConfig
-    ego_start_distance_m: PositiveMetresInterval
+    ego_start_distance_m: Interval
     start_speed_mps: Interval
     desired_speed_mps: PositiveInterval
     pairing: Literal["ego_behaviour", "literal"]
