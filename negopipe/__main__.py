@@ -30,7 +30,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from negopipe import CONF, hydra_targets
-from negopipe.config_errors import LONGEST_LINE, explain_composition, shown
+from negopipe.config_errors import LONGEST_LINE, explain_composition, misread, shown
 from negopipe.errors import UserError
 from negopipe.sweeping import optuna_sweeper
 
@@ -116,6 +116,8 @@ def run_stages(composed: DictConfig) -> float | None:
             "hydra.job.chdir must be false, got true: relative paths are relative to where the command is given"
         )
     config = load(composed, HydraConfig.get().overrides.task)
+    if problem := misread(str(Path(config.outputs).absolute()), "outputs"):  # this folder's own name, it may be
+        raise UserError(problem)
     # all code is loaded now, so that what is edited during a long run does not end up in it
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:

@@ -148,6 +148,12 @@ def test_a_command_line_that_is_not_read_as_utf8_is_told_so(tmp_path: Path) -> N
         result = subprocess.run(call, capture_output=True, text=True, cwd=tmp_path, env=latin, check=False)
         said = "outputs must be UTF-8, which is read as ascii here (PYTHONUTF8=1 in front of it mends that), got "
         assert only_line(result.stderr) == f"{said}\\udcc3\\udca4"
+    folder = tmp_path / "ä"
+    folder.mkdir()
+    call = [sys.executable, "-m", "negopipe"]
+    result = subprocess.run(call, capture_output=True, text=True, cwd=folder, env=latin, check=False)
+    assert only_line(result.stderr).startswith(said)
+    assert not list(folder.iterdir())
 
 
 def test_what_stdout_has_no_character_for_is_escaped(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
