@@ -5,6 +5,7 @@ Nothing heavy is imported before a run starts, so that `--help` and a mistyped k
 
 import errno
 import importlib
+import io
 import json
 import logging
 import os
@@ -12,7 +13,10 @@ import shlex
 import signal
 import sys
 import tempfile
+import threading
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +30,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from negopipe import CONF, hydra_targets
-from negopipe.config_errors import LONGEST_LINE, explain_composition, shown
+from negopipe.config_errors import LONGEST_LINE, explain_composition, misread, shown
 from negopipe.errors import UserError
 from negopipe.sweeping import optuna_sweeper
 
@@ -48,8 +52,15 @@ GOES_ON = "what was finished is kept and the same command goes on from there"
 
 
 def main() -> int:
-    """Run the command line; 0, 1 (failed, said in one line), 130 (Ctrl-C) or, by SystemExit, 143."""
-    signal.signal(signal.SIGTERM, _terminate)
+    """Run the command line; 0, 1 (failed, said in one line), 130 (Ctrl-C) or, by SystemExit, 143.
+
+    It may be called in any thread, and leaves the process's signal handlers and streams as they were.
+    """
+    with _process():
+        return _run_command()
+
+
+def _run_command() -> int:
     optuna_sweeper.register()
     if os.environ.get("HYDRA_FULL_ERROR") == "1":  # the user wants every error with its traceback
         pipeline()
@@ -79,12 +90,12 @@ def main() -> int:
 def pipeline(composed: DictConfig) -> float | None:
     """One job of the command line, in this process or in a launcher's worker; its objective, for sweepers."""
     assert hydra_targets  # named here, it is imported in a worker before Hydra makes anything of the job's config
-    signal.signal(signal.SIGTERM, _terminate)
-    try:
-        return run_stages(composed)
-    except Exception as error:
-        _note_failure(error)
-        return None
+    with _process():
+        try:
+            return run_stages(composed)
+        except Exception as error:
+            _note_failure(error)
+            return None
 
 
 def run_stages(composed: DictConfig) -> float | None:
@@ -100,7 +111,13 @@ def run_stages(composed: DictConfig) -> float | None:
     from negopipe.tracking.run_folder import METRICS_NAME
     from negopipe.tracking.store import open_run
 
-    config = load(composed)
+    if HydraConfig.get().job.chdir:
+        raise UserError(
+            "hydra.job.chdir must be false, got true: relative paths are relative to where the command is given"
+        )
+    config = load(composed, HydraConfig.get().overrides.task)
+    if problem := misread(str(Path(config.outputs).absolute()), "outputs"):  # this folder's own name, it may be
+        raise UserError(problem)
     # all code is loaded now, so that what is edited during a long run does not end up in it
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
@@ -164,6 +181,27 @@ def _note_failure(error: Exception) -> None:
         raise UserError(line) from error
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(line) + "\n")
+
+
+@contextmanager
+def _process() -> Iterator[None]:
+    """What the process does meanwhile: SIGTERM ends it like Ctrl-C, and what its output has no characters for is
+    written as an escape."""
+    errors, is_main = sys.stdout.errors, threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGTERM, _terminate) if is_main else None  # Python handles signals nowhere else
+    _escape(errors and "backslashreplace")
+    try:
+        yield
+    finally:
+        _escape(errors)
+        if is_main:
+            signal.signal(signal.SIGTERM, handler or signal.SIG_DFL)
+
+
+def _escape(errors: str | None) -> None:
+    """How stdout writes what its encoding does not have, where it has an encoding."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors=errors)
 
 
 def _terminate(signum: int, frame: Any) -> None:

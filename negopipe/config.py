@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field, TypeAdapter, ValidationError
 
-from negopipe.config_errors import explain_composition, explain_validation, shown
+from negopipe.config_errors import explain_composition, explain_validation, misread, shown
 from negopipe.env import CHUNKS
 from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
@@ -27,21 +27,23 @@ from negopipe.planner.frenet import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
 from negopipe.reward import RewardConfig
-from negopipe.schema import FileName, Label, PathText, PositiveInt, Seed, schema
+from negopipe.schema import Distinct, FileName, Label, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
+from negopipe.simulation.starts import check_starts
 from negopipe.tracking.store import TrackingConfig
 
 Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "benchmark"]
 
-
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 """<setting>/<planner>/<number>, columns of episodes.csv."""
 
-
 N_STEPS = 1000
-"""Of a plan, a delay or between two frames, at most: all are held in memory and some are gone through one by one."""
+"""Of a plan, a delay or between two frames, at most: all are held in memory."""
+
+WHOLE = 1e-6
+"""Of control steps a time is a whole number, but for what floats round."""
 
 LONGEST_EPISODE_S = 3600.0
 """Animations show episodes in real time, frame by frame."""
@@ -73,8 +75,8 @@ class RunConfig:
     name: FileName
     seed: Seed
     outputs: PathText
-    stages: Annotated[tuple[Stage, ...], Field(min_length=1)]
-    objective: Annotated[tuple[str, ...], Field(min_length=1)]
+    stages: Annotated[tuple[Stage, ...], Field(min_length=1), Distinct]
+    objective: Annotated[tuple[str, ...], Field(min_length=1), Distinct]
     checkpoint: PathText | None
     episode: EpisodeText | None
     runs: Label | None
@@ -105,19 +107,21 @@ class RunConfig:
         return {name: self.scenario.families[name] for name in self.evaluation.settings}
 
 
-def load(composed: DictConfig) -> RunConfig:
+def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
     """Check what Hydra composed and freeze it; UserError names every key that is wrong, in one line.
 
     Types are strict: a text is no number and `true` is no 1.
+    typed: the overrides that it was composed with, for errors that tell how to write them
     """
     try:
         values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+        if problem := misread(values):
+            raise UserError(problem)
+        config = TypeAdapter(RunConfig).validate_json(json.dumps(values), strict=True)
     except OmegaConfBaseException as error:
         raise UserError(explain_composition(error)) from error
-    try:
-        config = TypeAdapter(RunConfig).validate_json(json.dumps(values), strict=True)
     except ValidationError as error:
-        raise UserError(explain_validation(error, RunConfig)) from error
+        raise UserError(explain_validation(error, RunConfig, typed)) from error
     check_components(config)
     return config
 
@@ -148,10 +152,19 @@ def check_components(config: RunConfig) -> None:
     _check_sizes(config)
     _check_evaluation(config)
     _check_oracle(config)
+    _check_starts(config)
 
 
 def _check_horizons(config: RunConfig) -> None:
     """Nobody predicts farther than plans reach: a longer horizon would act like H_plan under another name."""
+    planned = config.planner.horizon_s
+    for key, values in _horizons(config).items():
+        if max(values, default=0.0) > planned:
+            raise UserError(f"{key} must be at most planner.horizon_s = {planned}, got {max(values)}")
+
+
+def _horizons(config: RunConfig) -> dict[str, tuple[float, ...]]:
+    """Prediction horizons of all that drives, s, by key."""
     horizons = {"policy.horizons_s": config.policy.horizons_s}
     horizons |= {f"evaluation.rivals.{name}": rival.horizons_s for name, rival in config.evaluation.rivals.items()}
     places = {"scenario": config.scenario.families}
@@ -165,14 +178,11 @@ def _check_horizons(config: RunConfig) -> None:
     if "behaviour_map" in config.stages:
         horizons["behaviour_map.horizons_s"] = tuple(config.behaviour_map.horizons_s)
         horizons["behaviour_map.styles_s"] = tuple(config.behaviour_map.styles_s)
-    planned = config.planner.horizon_s
-    for key, values in horizons.items():
-        if max(values, default=0.0) > planned:
-            raise UserError(f"{key} must be at most planner.horizon_s = {planned}, got {max(values)}")
+    return horizons
 
 
 def _check_times(config: RunConfig) -> None:
-    """What is remembered or passed on at control steps happens at control steps."""
+    """What is predicted, remembered or passed on at control steps ends at one: else it would act like another time."""
     dt, planned = config.scenario.dt_s, config.planner.horizon_s
     if not dt <= planned <= N_STEPS * dt:
         allowed = f"between scenario.dt_s = {dt} and {N_STEPS} times as much"
@@ -181,19 +191,24 @@ def _check_times(config: RunConfig) -> None:
     if n_steps * dt > LONGEST_EPISODE_S:
         allowed = f"{LONGEST_EPISODE_S:g} s / scenario.dt_s = {LONGEST_EPISODE_S / dt:g}"
         raise UserError(f"scenario.episode_steps must be at most {allowed}, got {n_steps}")
-    times = {
+    remembered = {
         "observation.frame_interval_s": config.observation.frame_interval_s,
         "perception.accel_window_s": config.perception.accel_window_s,
         "perception.delay_s": config.perception.delay_s,
     }
     if isinstance(config.dynamics, BicycleConfig):
-        times["dynamics.actuation_delay_s"] = config.dynamics.actuation_delay_s
-    for key, time in times.items():
-        n_steps = round(time / dt)
-        if n_steps > N_STEPS:
+        remembered["dynamics.actuation_delay_s"] = config.dynamics.actuation_delay_s
+    for key, time in remembered.items():
+        if time > (N_STEPS + 0.5) * dt:
             raise UserError(f"{key} must be at most {N_STEPS} times scenario.dt_s = {dt}, got {time}")
-        if abs(time - n_steps * dt) > 1e-6 or (n_steps == 0 and time > 0):
-            raise UserError(f"{key} must be a multiple of scenario.dt_s = {dt}, got {time}")
+    times = {key: (time,) for key, time in {"planner.horizon_s": planned, **remembered}.items()}
+    for name, rival in config.evaluation.rivals.items():
+        times |= {f"evaluation.rivals.{name}.{key}": (time,) for key, time in rival.times_s.items()}
+    for key, values in (times | _horizons(config)).items():
+        for time in values:
+            n_steps = round(time / dt)
+            if abs(time / dt - n_steps) > WHOLE or (n_steps == 0 and time > 0):
+                raise UserError(f"{key} must be a multiple of scenario.dt_s = {dt}, got {time}")
 
 
 def _check_grids(config: RunConfig) -> None:
@@ -354,6 +369,16 @@ def _check_oracle(config: RunConfig) -> None:
         _check_searched("evaluation.reward", config.evaluation.reward, "the stage oracle")
     if "train" in config.stages and config.curriculum.demonstrations is not None:
         _check_searched("reward", config.reward, "curriculum.demonstrations")
+
+
+def _check_starts(config: RunConfig) -> None:
+    """No task that is driven is lost before it begins."""
+    searched = config.oracle.settings if "oracle" in config.stages else ()
+    names = {f"scenario.families.{name}": name for name in (*config.evaluation.settings, *searched)}
+    driven = {key: config.scenario.families[name] for key, name in names.items()}
+    check_starts(config.scenario, driven, "scenario.ego_start_distance_m")
+    if "train" in config.stages:
+        config.curriculum.check_starts(config.scenario)
 
 
 def _check_searched(key: str, paid: RewardConfig, user: str) -> None:

@@ -6,12 +6,17 @@ imports neither torch nor a component, so that a typing error is answered at onc
 
 import difflib
 import json
+import re
+import shlex
+import sys
 import types
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from hydra.errors import MissingConfigException, OverrideParseException
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Quote, QuotedString
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import (
     ConfigAttributeError,
@@ -26,12 +31,59 @@ LONGEST_LINE = 400
 LONGEST_VALUE = 100
 """Characters. What is longer is cut: a line that fills the terminal tells less."""
 
+LONGEST_HINT = 200
+"""A hint is whole or not there."""
+
+_AMBIGUOUS = re.compile(r"Ambiguous value for argument '(.*?)'\n1\. ", flags=re.DOTALL)
+
 
 def shown(value: Any, longest: int = LONGEST_VALUE) -> str:
     """A value as a line shows it: control characters escaped, cut where it is long."""
     text = value if isinstance(value, str) and value else json.dumps(value)
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+def as_text(override: str) -> str | None:
+    """`override` so that its value is read as the text that it is, quoted for a shell: `'outputs="a=b"'`.
+
+    None for what was meant as more than a text, a list say, and where quotes are not what is missing.
+    """
+    key, _, text = override.partition("=")
+    quoted = f"{key}={QuotedString(text, Quote.double).with_quotes()}"
+    if text[:1] in ("", "[", "{", "'", '"') or len(quoted) > LONGEST_HINT or not quoted.isprintable():
+        return None
+    try:
+        is_read = OverridesParser.create().parse_override(quoted).value() == text
+    except HydraException:
+        return None
+    return shlex.quote(quoted) if is_read else None
+
+
+def misread(values: Any, key: str = "") -> str | None:
+    """What JSON would change or refuse without naming a key: names that are no texts, texts that are no Unicode."""
+    if isinstance(values, Mapping):
+        odd = [name for name in values if not isinstance(name, str)]
+        if odd:
+            return f"{key} must have texts as names, got {json.dumps(odd[0])}: in double quotes it is a text"
+        found = (misread(value, f"{key}.{name}".lstrip(".")) for name, value in values.items())
+    elif isinstance(values, list):
+        found = (misread(value, f"{key}.{index}") for index, value in enumerate(values))
+    else:
+        return f"{key} {_UNREADABLE}, got {shown(values)}" if _is_not_unicode(values) else None
+    return next(filter(None, found), None)
+
+
+_ENCODING = sys.getfilesystemencoding()
+_READ_AS = (
+    "" if _ENCODING == "utf-8" else f", which is read as {_ENCODING} here (PYTHONUTF8=1 in front of it mends that)"
+)
+_UNREADABLE = f"must be UTF-8{_READ_AS}"
+
+
+def _is_not_unicode(value: Any) -> bool:
+    """A command line that Python could not decode holds the bytes that it could not."""
+    return isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value)
 
 
 def unknown_key(key: str, allowed: Iterable[str]) -> str:
@@ -57,18 +109,40 @@ def _explanation(error: Exception) -> str:
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and OmegaConf.is_dict(cause.parent_node):
         return unknown_key(str(cause.full_key), map(str, cause.parent_node))
     if isinstance(error, OverrideParseException):
-        return f"{shown(error.override)} cannot be read: {str(error).splitlines()[0]}"
+        return _unreadable(error)
+    if ambiguous := _AMBIGUOUS.match(str(error)):
+        return _ambiguous(ambiguous[1])
     if isinstance(error, MissingMandatoryValue):
         return f"{error.full_key} is missing"
     return " ".join(str(error).replace("\\'", "'").split())
 
 
-def explain_validation(error: ValidationError, root: type) -> str:
-    """All problems that pydantic found when it was to make `root` of plain mappings."""
-    return shown("; ".join(dict.fromkeys(_problem(problem, root) for problem in error.errors())), LONGEST_LINE)
+def _unreadable(error: OverrideParseException) -> str:
+    override = str(error.override)
+    if _is_not_unicode(override):
+        return f"{shown(override.partition('=')[0])} {_UNREADABLE}, got {shown(override.partition('=')[2])}"
+    quoted = as_text(override)
+    return f"{shown(override)} cannot be read: {str(error).splitlines()[0]}{f', try {quoted}' if quoted else ''}"
 
 
-def _problem(problem: Mapping[str, Any], root: type) -> str:
+def _ambiguous(override: str) -> str:
+    """Several values where there is no sweep."""
+    key, _, values = override.partition("=")
+    ways = {"-m": "to sweep over them", shlex.quote(f"{key}=[{values}]"): "for a list", as_text(override): "for a text"}
+    hints = ", ".join(f"{way} {purpose}" for way, purpose in ways.items() if way)
+    return f"Ambiguous value for argument '{shown(override)}', use {hints}"
+
+
+def explain_validation(error: ValidationError, root: type, typed: Sequence[str] = ()) -> str:
+    """All problems that pydantic found when it was to make `root` of plain mappings.
+
+    typed: the overrides as they were given, which tell how a text was written that was read as something else
+    """
+    problems = (_problem(problem, root, typed) for problem in error.errors())
+    return shown("; ".join(dict.fromkeys(problems)), LONGEST_LINE)
+
+
+def _problem(problem: Mapping[str, Any], root: type, typed: Sequence[str]) -> str:
     path, kind = [str(part) for part in problem["loc"] if part != "[key]"], problem["type"]
     key = ".".join(_keys(root, path))
     if kind == "unexpected_keyword_argument":
@@ -79,7 +153,15 @@ def _problem(problem: Mapping[str, Any], root: type) -> str:
         return f"{key} is missing"
     is_whole_mapping = isinstance(problem["input"], Mapping) and not kind.endswith("_type")
     value = "" if is_whole_mapping else f", got {shown(problem['input'])}"  # the rule names the values
-    return f"{key} {_rule(problem)}{value}"
+    hint = _how_to_quote(key, typed) if kind == "string_type" else ""
+    return f"{key} {_rule(problem)}{value}{hint}"
+
+
+def _how_to_quote(key: str, typed: Sequence[str]) -> str:
+    """For what is no text because of how it is written."""
+    written = [override for override in typed if override.partition("=")[0].lstrip("+") == key]
+    quoted = as_text(written[-1]) if written else None
+    return f", try {quoted}" if quoted else ", which is a text in double quotes"
 
 
 def _wrong_variant(key: str, context: Mapping[str, str]) -> str:

@@ -5,8 +5,10 @@ in `conf/`. Unknown keys are refused, wrong types and values out of range raise 
 that `negopipe.config` turns into one line.
 """
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass as pydantic_dataclass
@@ -29,6 +31,16 @@ N_MOST = 10**6
 def schema(cls: type) -> type:
     """Class decorator: a frozen, typed, range-checked configuration dataclass that refuses unknown keys."""
     return pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))(cls)
+
+
+T = TypeVar("T", bound=Sequence)
+
+
+def _has_no_twins(values: T) -> T:
+    twins = [value for value, n in Counter(values).items() if n > 1]
+    if twins:
+        raise ValueError(f"must name every value once, not {twins[0]} again")
+    return values
 
 
 def _is_ordered(interval: tuple[float, float]) -> tuple[float, float]:
@@ -72,4 +84,7 @@ Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Label = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_is_printable)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
 Interval = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_is_ordered)]
+PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_is_ordered)]
+Distinct = AfterValidator(_has_no_twins)
+"""Annotation of a list in which a value that comes twice would be done twice, or be two of one name."""
 PathText = Annotated[str, Field(min_length=1), AfterValidator(_is_path)]

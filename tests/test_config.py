@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 
 from negopipe import CONF
 from negopipe.config import RESULT_NEUTRAL, RunConfig, as_mapping, load, run_name
-from negopipe.config_errors import unknown_key
+from negopipe.config_errors import as_text, unknown_key
 from negopipe.errors import UserError
 from negopipe.gym_env import compose_config
 
@@ -75,6 +75,11 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             "checkpoint must begin with the name of a user where it begins with ~, got",
         ),
         ([f"outputs={'x' * 300}"], "outputs must be a path of printable characters, at most 1000 in all and 255 byt"),
+        (
+            ["+scenario.families={2024_05: ${scenario.families.push}}"],
+            "scenario.families must have texts as names, got 202405: in double quotes it is a text",
+        ),
+        (["objective=[1e3]"], "objective.0 must be a valid string, got 1000.0, which is a text in double quotes"),
         (["+scenario.families={a b: null}"], "scenario.families.a b must match pattern"),
         (["planner.cost.jerk=1e39"], "planner.cost.jerk must be less than or equal to 1000000, got 1e+39"),
         (["algorithm.kl_clip=1e-300"], "algorithm.kl_clip must be at least 1e-06, got 1e-300"),
@@ -141,6 +146,43 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             ["dynamics=bicycle", "dynamics.actuation_delay_s=0.1"],
             "dynamics.actuation_delay_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
         ),
+        (["policy.horizons_s=[0.1,2.0]"], "policy.horizons_s must be a multiple of scenario.dt_s = 0.2, got 0.1"),
+        (["policy.horizons_s=[1e-9,2.0]"], "policy.horizons_s must be a multiple of scenario.dt_s = 0.2, got 1e-09"),
+        (["planner.horizon_s=6.5"], "planner.horizon_s must be a multiple of scenario.dt_s = 0.2, got 6.5"),
+        (["evaluation.rivals.fixed_2.horizon_s=2.1"], "evaluation.rivals.fixed_2 must be a multiple of scenario.dt_s"),
+        (
+            ["evaluation/rival=random", "evaluation.rivals.random.keep_s=0.1", "report.side_by_side=[]"],
+            "evaluation.rivals.random.keep_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+        ),
+        (
+            ["evaluation/rival=level_k", "evaluation.rivals.level_k.lookahead_s=0.5", "report.side_by_side=[]"],
+            "evaluation.rivals.level_k.lookahead_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
+        ),
+        (
+            ["scenario.families.push.style_horizon_s=[0.1]"],
+            "scenario.families.push.style_horizon_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+        ),
+        (
+            ["scenario.families.mixture_switching.style_switch.style_horizon_s=[5.9]"],
+            "scenario.families.mixture_switching.style_switch.style_horizon_s must be a multiple of scenario.dt_s",
+        ),
+        (
+            ["stages=[behaviour_map]", "behaviour_map.styles_s=[0.3]"],
+            "behaviour_map.styles_s must be a multiple of scenario.dt_s = 0.2, got 0.3",
+        ),
+        (["policy.horizons_s=[0,0,2]"], "policy.horizons_s must name every value once, not 0.0 again, got [0, 0, 2]"),
+        (["evaluation.settings=[push,push]"], "evaluation.settings must name every value once, not push again"),
+        (["stages=[train,train]"], "stages must name every value once, not train again"),
+        (["report.side_by_side=[fixed_2,fixed_2]"], "report.side_by_side must name every value once, not fixed_2 "),
+        (["report.figure_formats=[png,png]"], "report.figure_formats must name every value once, not png again"),
+        (["oracle.settings=[push,push]"], "oracle.settings must name every value once, not push again"),
+        (["benchmark.n_worlds=[1,1]"], "benchmark.n_worlds must name every value once, not 1 again"),
+        (["scenario.ego_start_distance_m=[0,5]"], "scenario.ego_start_distance_m must be greater than 0, wh"),
+        (
+            ["scenario.families.push.start_distance_m=[0,0]"],
+            "scenario.families.push.start_distance_m must be greater than 0, where the corridor begins, got [0.0, 0.0]",
+        ),
+        (["scenario.desired_speed_mps=[0,6]"], "scenario.desired_speed_mps.0 must be greater than 0, got 0"),
         (["perception.delay_s=0.3"], "perception.delay_s must be a multiple of scenario.dt_s = 0.2, got 0.3"),
         (["perception.accel_window_s=0.05"], "perception.accel_window_s must be a multiple of scenario.dt_s = 0.2, "),
         (
@@ -174,6 +216,21 @@ def test_a_wrong_value_is_named_with_what_is_allowed(overrides: list[str], line:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    "text", ["a=b", "x#y", "model=2.pt", "/tmp/ä b", "2024_05", "null", "a'b", 'a"b', "a\\", "a,b", "~/x", "a&b;c!d<e"]
+)
+def test_what_is_said_of_a_text_is_read_as_that_text(text: str) -> None:
+    suggested = as_text(f"outputs={text}")
+    assert suggested is not None
+    (word,) = shlex.split(suggested)
+    assert build(word).outputs == text
+
+
+@pytest.mark.parametrize("override", ["seed=[1", "outputs='a", "x y=3", "name", "name=", f"name={'=' * 300}"])
+def test_nothing_is_said_where_quotes_are_not_what_is_missing(override: str) -> None:
+    assert as_text(override) is None
+
+
 @pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "scenario.families.mixture.foo"])
 def test_an_added_key_is_refused_at_every_depth(key: str) -> None:
     siblings: Any = as_mapping(build())
@@ -194,7 +251,7 @@ def test_a_run_is_named_for_what_its_result_depends_on() -> None:
     for override in ("outputs=elsewhere", "stages=[report]", "n_threads=7", "name=other"):
         assert run_name(build(override)) == same, override
     assert run_name(build("seed=7")) == same.replace("seed1", "seed7")
-    for override in ("checkpoint=there", "planner.horizon_s=6.5", "compile='off'", "device=cpu"):
+    for override in ("checkpoint=there", "planner.horizon_s=6.4", "compile='off'", "device=cpu"):
         assert run_name(build(override)) != same, override
 
 

@@ -24,7 +24,7 @@ FLOORS = (
         "reward",
     ),
     ("simulation.collisions",),
-    ("simulation.simulator",),
+    ("simulation.simulator", "simulation.starts"),
     ("chunks",),
     ("driver", "env", "learning.curriculum"),
     ("evaluation", "report", "tracking"),

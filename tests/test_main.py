@@ -1,20 +1,26 @@
 """The command line: help, errors in one line, exit codes, and what a stopped process leaves behind."""
 
+import io
 import json
+import os
 import re
 import signal
 import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
 import negopipe.__main__ as entry
 from negopipe.config import RunConfig
+from negopipe.stages.interruption import AskedToStop
+from negopipe.stages.workers import side_by_side
 from negopipe.tracking.store import TrackedRun
 
 Command = Callable[..., tuple[int, str, str]]
@@ -87,7 +93,22 @@ def test_help_names_the_experiments_and_needs_no_torch() -> None:
         (["planner=3"], "Config group override must be a string or a list. Got int, got planner=3"),
         (["seed=[1"], "seed=[1 cannot be read: "),
         (["+seed=1"], "Could not append to config. An item is already at 'seed'."),
-        (["seed=1,2"], "Ambiguous value for argument 'seed=1,2'"),
+        (["seed=1,2"], "Ambiguous value for argument 'seed=1,2', use -m to sweep over them, 'seed=[1,2]' for a list, "),
+        (["outputs=a=b"], """outputs=a=b cannot be read: mismatched input '=' expecting <EOF>, try 'outputs="a=b"'"""),
+        (
+            ["outputs=\udcc3\udca4"],
+            "outputs must be UTF-8, got \\udcc3",
+        ),
+        (["outputs='\udcc3'"], "outputs must be UTF-8, got \\udcc3"),
+        (["name=2024_05"], """name must be a valid string, got 202405, try 'name="2024_05"'"""),
+        (["runs=1e3"], """runs must be a valid string, got 1000.0, try 'runs="1e3"'"""),
+        (["outputs=null"], """outputs must be a valid string, got null, try 'outputs="null"'"""),
+        (["checkpoint=true"], """checkpoint must be a valid string, got true, try 'checkpoint="true"'"""),
+        (
+            ["tracking.registered_model=1_0"],
+            """tracking.registered_model must be a valid string, got 10, try 'tracking.registered_model="1_0"'""",
+        ),
+        (["hydra.job.chdir=true"], "hydra.job.chdir must be false, got true: relative paths are relative to where "),
         (
             ["checkpoint=nope"],
             "checkpoint must be an existing file, pretrained, or the id of an MLflow run that saved one, got ",
@@ -110,6 +131,64 @@ def test_different_errors_in_a_sweep_are_all_said(command: Command) -> None:
     code, _, err = command("-m", "planner.horizon_s=-1.0,-2.0")
     assert code == 1
     assert err.splitlines() == [f"planner.horizon_s must be greater than 0, got {x}" for x in ("-1.0", "-2.0")]
+
+
+def test_a_sweep_is_told_where_it_may_not_change_folders(command: Command) -> None:
+    code, _, err = command("-m", "seed=1,2", "hydra.job.chdir=true", "outputs=here")
+    assert code == 1
+    assert only_line(err).startswith("hydra.job.chdir must be false, got true")
+    assert not list(Path.cwd().rglob("mlflow*"))
+
+
+def test_a_command_line_that_is_not_read_as_utf8_is_told_so(tmp_path: Path) -> None:
+    """... and one that is, where the output is not."""
+    latin = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    for outputs in ("outputs='ä'", "outputs=ä"):
+        call = [sys.executable, "-m", "negopipe", outputs]
+        result = subprocess.run(call, capture_output=True, text=True, cwd=tmp_path, env=latin, check=False)
+        said = "outputs must be UTF-8, which is read as ascii here (PYTHONUTF8=1 in front of it mends that), got "
+        assert only_line(result.stderr) == f"{said}\\udcc3\\udca4"
+    folder = tmp_path / "ä"
+    folder.mkdir()
+    call = [sys.executable, "-m", "negopipe"]
+    result = subprocess.run(call, capture_output=True, text=True, cwd=folder, env=latin, check=False)
+    assert only_line(result.stderr).startswith(said)
+    assert not list(folder.iterdir())
+
+
+def test_what_stdout_has_no_character_for_is_escaped(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    replace_stage(monkeypatch, "report", lambda config, run: print(config.tracking.experiment))
+    out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", out)
+    code, _, err = command("stages=[report]", "outputs='ä'", "tracking.experiment='ö'")
+    out.flush()
+    said = out.buffer.getvalue().decode()  # type: ignore[attr-defined]
+    assert (code, err) == (0, "")
+    assert "\\xf6\n" in said
+    assert re.search(r"^run +\\xe4/", said, flags=re.MULTILINE)
+    assert out.errors == "strict"
+
+
+def test_the_command_line_works_in_a_thread(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stage(config: RunConfig, run: TrackedRun) -> None:
+        with AskedToStop():
+            assert side_by_side([lambda: 1, lambda: 2], 2, lambda _: None) == [1, 2]
+
+    replace_stage(monkeypatch, "report", stage)
+    with ThreadPoolExecutor(1) as pool:
+        code, _, err = pool.submit(command, "stages=[report]").result()
+    assert (code, err) == (0, "")
+
+
+@pytest.mark.parametrize("handler", [signal.SIG_DFL, signal.SIG_IGN, lambda *_: None])
+def test_signal_handlers_stay_as_they_were(command: Command, monkeypatch: pytest.MonkeyPatch, handler: Any) -> None:
+    found = []
+    replace_stage(monkeypatch, "report", lambda *_: found.append(signal.getsignal(signal.SIGTERM)))
+    signal.signal(signal.SIGTERM, handler)
+    for arguments in (["stages=[report]"], ["seed=x"], ["--help"]):
+        command(*arguments)
+        assert signal.getsignal(signal.SIGTERM) == handler
+    assert found == [entry._terminate]
 
 
 @pytest.mark.slow

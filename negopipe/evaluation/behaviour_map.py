@@ -9,22 +9,15 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from negopipe.evaluation.metrics import episodes
 from negopipe.evaluation.safety import footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.schema import NonNegativeFloat, PositiveInt, schema
+from negopipe.schema import Distinct, NonNegativeFloat, PositiveInt, schema
 from negopipe.simulation.scenario import VehicleConfig
 
-
-def _are_different(values: list[float]) -> list[float]:
-    if len(set(values)) < len(values):
-        raise ValueError("must name every value once")
-    return values
-
-
-DifferentHorizons = Annotated[list[NonNegativeFloat], Field(min_length=1), AfterValidator(_are_different)]
+DifferentHorizons = Annotated[list[NonNegativeFloat], Field(min_length=1), Distinct]
 
 
 @schema

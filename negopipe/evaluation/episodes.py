@@ -12,7 +12,7 @@ from negopipe.env import Game
 from negopipe.evaluation.rivals import RivalConfig
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
-from negopipe.schema import FileName, PathText, PositiveInt, Seed, schema
+from negopipe.schema import Distinct, FileName, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, tree_where
 
@@ -24,7 +24,7 @@ DEADLOCK_S = 5.0
 class EvaluationConfig:
     """`conf/evaluation/push_yield.yaml` says what each value means."""
 
-    settings: Annotated[list[str], Field(min_length=1)]
+    settings: Annotated[list[str], Field(min_length=1), Distinct]
     leading_setting: str
     n_episodes: PositiveInt
     n_traced: PositiveInt

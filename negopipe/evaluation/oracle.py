@@ -20,7 +20,7 @@ from torch import Generator, Tensor
 
 from negopipe.env import Game
 from negopipe.reward import RewardConfig, reward
-from negopipe.schema import PositiveInt, schema
+from negopipe.schema import Distinct, PositiveInt, schema
 from negopipe.simulation.state import EGO, Task, World, map_tensors, tree_where
 
 SHIFT_CHANCE = 0.3
@@ -46,7 +46,7 @@ one style are alike."""
 class OracleConfig:
     """`conf/oracle/search.yaml` says what each value means."""
 
-    settings: Annotated[list[str], Field(min_length=1)]
+    settings: Annotated[list[str], Field(min_length=1), Distinct]
     n_episodes: PositiveInt
     population: PositiveInt
     rounds: PositiveInt

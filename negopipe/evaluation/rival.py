@@ -28,6 +28,11 @@ class Rival(ABC):
         """Prediction horizons that it may use."""
         return ()
 
+    @property
+    def times_s(self) -> dict[str, float]:
+        """Its times that are counted in control steps, by the name of the field."""
+        return {}
+
     @abstractmethod
     def driver(self, game: Game, chance: Tensor) -> Driver:
         """The driver for a batch of episodes that start together.

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field, model_validator
 
-from negopipe.schema import PositiveInt, schema
+from negopipe.schema import Distinct, PositiveInt, schema
 
 Backend = Literal["eager", "compiled", "cuda_eager", "cuda"]
 
@@ -25,8 +25,8 @@ COPY_FLOATS = 2**26
 class BenchmarkConfig:
     """`conf/benchmark/speed.yaml` says what each value means."""
 
-    backends: Annotated[tuple[Backend, ...], Field(min_length=1)]
-    n_worlds: Annotated[tuple[PositiveInt, ...], Field(min_length=1)]
+    backends: Annotated[tuple[Backend, ...], Field(min_length=1), Distinct]
+    n_worlds: Annotated[tuple[PositiveInt, ...], Field(min_length=1), Distinct]
     base_n_worlds: PositiveInt
     n_warmups: Annotated[PositiveInt, Field(le=1000)]
     n_repetitions: Annotated[PositiveInt, Field(le=1000)]

@@ -11,6 +11,7 @@ from negopipe.learning.demonstrations import DemonstrationsConfig
 from negopipe.reward import RewardConfig
 from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
 from negopipe.simulation.scenario import Families, ScenarioConfig
+from negopipe.simulation.starts import check_starts
 
 
 @schema
@@ -75,6 +76,12 @@ class CurriculumConfig:
             ego_start_distance_m=self.starts.ego_start_distance_m,
             start_speed_mps=self.starts.start_speed_mps,
         )
+
+    def check_starts(self, evaluated: ScenarioConfig) -> None:
+        """UserError where a task that is trained on is lost before it begins."""
+        stages = enumerate(self.stages)
+        families = {f"curriculum.stages.{i}.families.{name}": f for i, s in stages for name, f in s.families.items()}
+        check_starts(self.scenario(evaluated), families, "curriculum.starts.ego_start_distance_m")
 
 
 class Curriculum:

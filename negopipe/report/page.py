@@ -14,17 +14,17 @@ from negopipe.evaluation.claims import Claim, Finding, Verdict
 from negopipe.report.figures import setting_label
 from negopipe.report.headlines import Difference, Measures, Versus
 from negopipe.report.tables import Table, n_episodes, tables
-from negopipe.schema import NonNegativeInt, PositiveInt, schema
+from negopipe.schema import Distinct, NonNegativeInt, PositiveInt, schema
 
 
 @schema
 class ReportConfig:
     """What the report stage makes; `conf/report/html.yaml` says what each value means."""
 
-    figure_formats: tuple[Literal["png", "svg", "pdf"], ...]
+    figure_formats: Annotated[tuple[Literal["png", "svg", "pdf"], ...], Distinct]
     n_animations: NonNegativeInt
     animation_fps: Annotated[PositiveInt, Field(le=50)]  # a GIF's frames last hundredths of a second, two at least
-    side_by_side: tuple[str, ...]
+    side_by_side: Annotated[tuple[str, ...], Distinct]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,16 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from negopipe.errors import UserError
-from negopipe.schema import FileName, Interval, NonNegativeFloat, PositiveFloat, PositiveInt, PositiveMetres, schema
+from negopipe.schema import (
+    FileName,
+    Interval,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    PositiveInterval,
+    PositiveMetres,
+    schema,
+)
 from negopipe.simulation.road import RoadConfig
 from negopipe.simulation.state import EGO, Task
 
@@ -102,7 +111,7 @@ class ScenarioConfig:
     vehicle: VehicleConfig
     ego_start_distance_m: Interval
     start_speed_mps: Interval
-    desired_speed_mps: Interval
+    desired_speed_mps: PositiveInterval
     pairing: Literal["ego_behaviour", "literal"]
     families: Annotated[Families, Field(min_length=1)]
 

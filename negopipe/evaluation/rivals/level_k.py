@@ -45,6 +45,10 @@ class Config(Rival):
     def horizons_s(self) -> tuple[float, ...]:
         return self.horizons
 
+    @property
+    def times_s(self) -> dict[str, float]:
+        return {name: getattr(self, name) for name in ("lookahead_s", "keep_s", "lookback_s")}
+
     def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
         return HorizonDriver(LevelK(game, self), game.plan)
 
@@ -130,7 +134,7 @@ class LevelK:
         return road.progress(world.vehicles.position, world.task.direction).clamp(max=road.target_s_m)
 
     def _n_steps(self, time_s: float) -> int:
-        return max(1, round(time_s / self.dt_s))
+        return round(time_s / self.dt_s)
 
 
 def best_response(own: Tensor, other: Tensor, belief: Tensor, level: int) -> Tensor:

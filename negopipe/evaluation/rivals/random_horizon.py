@@ -28,9 +28,13 @@ class Config(Rival):
     def horizons_s(self) -> tuple[float, ...]:
         return self.horizons
 
+    @property
+    def times_s(self) -> dict[str, float]:
+        return {"keep_s": self.keep_s}
+
     def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
         scenario = game.simulator.scenario
-        n_kept = max(1, round(self.keep_s / scenario.dt_s))
+        n_kept = round(self.keep_s / scenario.dt_s)
         draw = torch.arange(scenario.episode_steps, device=chance.device) // n_kept
         choice = mix(mix(mix(chance)) + draw[:, None]) % len(self.horizons)
         return HorizonDriver(sequence_planner(torch.tensor(self.horizons, device=chance.device)[choice]), game.plan)
