@@ -18,25 +18,14 @@ import torch
 from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
-from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
 
-from negopipe import CONF
-from negopipe.config import RunConfig, load
+from negopipe.compose import compose_config
 from negopipe.env import NegotiationEnv, build_game
 from negopipe.learning.rollout import Transition
 from negopipe.simulation.scenario import TaskSampler
 
 ENV_ID = "negopipe/NarrowLane-v0"
 OCCUPIED = 255
-
-
-def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
-    """The configuration that `python -m negopipe <overrides>` would run with."""
-    if GlobalHydra.instance().is_initialized():
-        return load(compose("config", list(overrides)))
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return load(compose("config", list(overrides)))
 
 
 def _build(overrides: Sequence[str], n_worlds: int) -> NegotiationEnv:

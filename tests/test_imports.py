@@ -11,7 +11,7 @@ import negopipe
 PACKAGE = Path(negopipe.__file__).parent
 
 FLOORS = (
-    ("errors", "schema", "config_errors", "hydra_targets", "seeding", "stored", "nested"),
+    ("errors", "schema", "config_errors", "hydra_targets", "seeding", "stored", "nested", "torch_settings"),
     ("simulation.state", "simulation.geometry", "simulation.chance"),
     ("simulation.reference_line", "simulation.verge"),
     (
@@ -28,6 +28,7 @@ FLOORS = (
     ("driver", "env", "learning.curriculum"),
     ("evaluation", "report", "tracking"),
     ("config", "identity"),
+    ("compose",),
     ("stages", "gym_env", "sweeping"),
     ("__main__",),
 )
