@@ -22,7 +22,7 @@ The map, from the bottom up (a part imports only what stands above it here):
     config        RunConfig, the root schema   identity   which results are the same
     compose       the RunConfig of a command line, in any process
     sweeping/     a sweep's objective, Optuna search, summary, results over seeds, learning curves
-    __main__      the command line             gym_env    gymnasium's door
+    __main__      the command line             gym_env, sb3_adapter    doors of gymnasium and Stable-Baselines3
 
 One decision (E worlds, V vehicles)
     action [E] -> horizon [E, V] (ego from the action, social from its style) -> perceive -> predict

@@ -29,7 +29,7 @@ FLOORS = (
     ("evaluation", "report", "tracking"),
     ("config", "identity"),
     ("compose",),
-    ("stages", "gym_env", "sweeping"),
+    ("stages", "gym_env", "sb3_adapter", "sweeping"),
     ("__main__",),
 )
 """Lowest first; a name stands for a module or for a package and all in it. A floor may import itself."""
