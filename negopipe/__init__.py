@@ -3,6 +3,7 @@
 The map, from the bottom up (a part imports only what stands above it here):
 
     schema, errors, seeding   how configs are declared, the user's errors, random streams
+    torch_settings            torch's process-wide settings, for as long as a call lasts
     simulation/   state, geometry, reference_line, verge, road, scenario (tasks), perception,
                   dynamics, simulator
     planner/      polynomials, longitudinal and lateral candidates, prediction, frenet (the choice)
@@ -19,8 +20,9 @@ The map, from the bottom up (a part imports only what stands above it here):
     stages/       train, evaluate, report, replay, behaviour_map, oracle, benchmark: each a function of config and run;
                   what is stopped goes on from its last snapshot
     config        RunConfig, the root schema   identity   which results are the same
+    compose       the RunConfig of a command line, in any process
     sweeping/     a sweep's objective, Optuna search, summary, results over seeds, learning curves
-    __main__      the command line             gym_env    gymnasium's door
+    __main__      the command line             gym_env, sb3_adapter    doors of gymnasium and Stable-Baselines3
 
 One decision (E worlds, V vehicles)
     action [E] -> horizon [E, V] (ego from the action, social from its style) -> perceive -> predict

@@ -27,6 +27,7 @@ from negopipe.simulation.state import (
     World,
     map_tensors,
     named_tensors,
+    where_world,
     with_tensors,
 )
 
@@ -155,9 +156,11 @@ class NegotiationEnv:
         self._horizons = torch.tensor(horizons_s, device=self.world.step.device)
         self.n_actions = len(horizons_s)
 
-    def restart(self) -> None:
-        """Start a new task in every world."""
-        self.world = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
+    def restart(self, is_chosen: Tensor | None = None) -> None:
+        """Start a new task in every world; only in the chosen ones [E] bool, which get the tasks that they would get
+        among all."""
+        started = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
+        self.world: World = started if is_chosen is None else where_world(is_chosen, started, self.world)
         self._observation = self.game.see(self.world)
 
     def observe(self) -> Tensor:

@@ -11,7 +11,7 @@ import negopipe
 PACKAGE = Path(negopipe.__file__).parent
 
 FLOORS = (
-    ("errors", "schema", "config_errors", "hydra_targets", "seeding", "stored", "nested"),
+    ("errors", "schema", "config_errors", "hydra_targets", "seeding", "stored", "nested", "torch_settings"),
     ("simulation.state", "simulation.geometry", "simulation.chance"),
     ("simulation.reference_line", "simulation.verge"),
     (
@@ -29,7 +29,8 @@ FLOORS = (
     ("driver", "env", "learning.curriculum"),
     ("evaluation", "report", "tracking"),
     ("config", "identity"),
-    ("stages", "gym_env", "sweeping"),
+    ("compose",),
+    ("stages", "gym_env", "sb3_adapter", "sweeping"),
     ("__main__",),
 )
 """Lowest first; a name stands for a module or for a package and all in it. A floor may import itself."""

@@ -19,8 +19,8 @@ from negopipe.learning.demonstrations import Demonstrations, DemonstrationsConfi
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task
-from negopipe.stages.backend import one_thread
 from negopipe.stages.progress import ProgressLine
+from negopipe.torch_settings import one_thread
 from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME
 from negopipe.tracking.whole_file import write_whole
 

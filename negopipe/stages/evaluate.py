@@ -23,12 +23,12 @@ from negopipe.policy.actor_critic import ActorCritic
 from negopipe.seeding import generator
 from negopipe.simulation.scenario import TaskSampler, pair_styles
 from negopipe.simulation.state import Task, map_tensors
-from negopipe.stages.backend import one_thread
 from negopipe.stages.description import tell_how_it_went
 from negopipe.stages.oracle_table import DOES_NOT_FIT, drive_oracle, read_oracle
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import build, load_policy
 from negopipe.stages.workers import n_processes, side_by_side
+from negopipe.torch_settings import one_thread
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 
 if TYPE_CHECKING:

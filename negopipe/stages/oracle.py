@@ -18,10 +18,10 @@ from negopipe.evaluation.planners import by_horizon, fixed_name, sequence_planne
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.seeding import generator
 from negopipe.simulation.state import EGO, Task, map_tensors
-from negopipe.stages.backend import one_thread
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import game_of
+from negopipe.torch_settings import one_thread
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:

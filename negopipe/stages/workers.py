@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from negopipe.stages.backend import one_thread
+from negopipe.torch_settings import one_thread
 
 T = TypeVar("T")
 
