@@ -25,14 +25,15 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from negopipe import CONF, hydra_targets
+from negopipe import CONF, environment, hydra_targets
 from negopipe.config_errors import LONGEST_LINE, explain_composition, shown
 from negopipe.errors import UserError
 from negopipe.sweeping import optuna_sweeper
 
 log = logging.getLogger("negopipe")
 
-os.environ.setdefault("GOMP_SPINCOUNT", "30000")
+environment.drop_empty("OMP_NUM_THREADS", "CXX", "TORCHINDUCTOR_CACHE_DIR")  # of torch
+environment.default("GOMP_SPINCOUNT", "30000")
 """Threads of torch that wait spin for a moment only and then sleep: on shared cores endless spinning made
 collecting three times slower, and never spinning costs a quarter on idle ones. Read when torch is imported."""
 
@@ -95,7 +96,7 @@ def run_stages(composed: DictConfig) -> float | None:
     from negopipe.stages.reuse import take_over_training
     from negopipe.sweeping.objective import objective
     from negopipe.tracking.checkpoint import find_checkpoint
-    from negopipe.tracking.database import is_served
+    from negopipe.tracking.dashboard import command_for
     from negopipe.tracking.metrics_file import read
     from negopipe.tracking.run_folder import METRICS_NAME
     from negopipe.tracking.store import open_run

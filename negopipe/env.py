@@ -1,6 +1,5 @@
 """The game as a reinforcement-learning environment: batched worlds that pick a prediction horizon and drive on."""
 
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from negopipe import environment
 from negopipe.chunks import InChunks
 from negopipe.learning.rollout import Transition
 from negopipe.nested import put_under, take_from
@@ -130,8 +130,9 @@ def _compile(fn: Callable) -> Callable:
 
 
 def has_compiler() -> bool:
-    """A C++ compiler is found, which torch.compile needs on the CPU."""
-    return any(shutil.which(name) for name in (os.environ.get("CXX", "g++"), "g++", "clang++"))
+    """A C++ compiler is found, which torch.compile needs on the CPU: that of the variable CXX, if it names one."""
+    named = environment.variable("CXX")
+    return any(shutil.which(name) for name in ([named] if named else ["g++", "clang++"]))
 
 
 class NegotiationEnv:

@@ -11,7 +11,7 @@ import negopipe
 PACKAGE = Path(negopipe.__file__).parent
 
 FLOORS = (
-    ("errors", "schema", "config_errors", "hydra_targets", "seeding", "stored", "nested"),
+    ("errors", "environment", "schema", "config_errors", "hydra_targets", "seeding", "stored", "nested"),
     ("simulation.state", "simulation.geometry", "simulation.chance"),
     ("simulation.reference_line", "simulation.verge"),
     (
