@@ -135,8 +135,8 @@ def run_stages(composed: DictConfig) -> float | None:
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _from_here(run.folder / file_name))
-    how = [] if is_served(config.tracking.uri) else ["make ui"]
-    log.info(f"dashboard  {', then '.join([*how, *([run.charts] if run.charts else [])])}")
+    how = command_for(Path(config.outputs), config.tracking.uri)
+    log.info(f"dashboard  {', then '.join(filter(None, [how, run.charts]))}")
     return objective(read(run.folder / METRICS_NAME), config.objective)
 
 
