@@ -143,7 +143,10 @@ def run_stages(composed: DictConfig) -> float | None:
 def _tags(name: str) -> dict[str, str]:
     """What the command line was, and of which sweep it is a job: runs stay flat, and a tag groups them."""
     hydra = HydraConfig.get()
-    tags = {"overrides": shlex.join(hydra.overrides.task)}
+    places = [source.path for source in hydra.runtime.config_sources if source.provider == "command-line"]
+    where = [word for place in places for word in ("--config-dir", place)]
+    where += [] if hydra.job.config_name == "config" else ["--config-name", str(hydra.job.config_name)]
+    tags = {"overrides": shlex.join([*where, *hydra.overrides.task])}
     if hydra.mode == RunMode.MULTIRUN:
         tags["sweep"] = hydra.sweeper.get("study_name", name)
     return tags

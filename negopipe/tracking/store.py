@@ -26,7 +26,7 @@ from negopipe.tracking.delivery import Delivery
 from negopipe.tracking.journal import Journal
 from negopipe.tracking.metrics_file import merge_into
 from negopipe.tracking.names import clean_name, cleaned, flatten
-from negopipe.tracking.record import RunRecord, read_record, write_record
+from negopipe.tracking.record import OVERRIDES, RunRecord, as_command, read_record, write_record
 from negopipe.tracking.run_folder import CHECKPOINTS_NAME, CONFIG_NAME, METRICS_NAME, TABLES_NAME, hold, keep, set_aside
 from negopipe.tracking.whole_file import write_whole
 
@@ -102,7 +102,8 @@ def open_run(
         if record is None:
             record = RunRecord(uuid.uuid4().hex, source)
             write_record(folder, record)
-        run = TrackedRun(config, folder, replace(record, source=source, tags=dict(tags or {})), resolved, accepted)
+        record, overrides = replace(record.with_tags(tags or {}), source=source), (tags or {}).get(OVERRIDES)
+        run = TrackedRun(config, folder, record, resolved, accepted, overrides)
         with _final_status(run):
             yield run
     finally:
@@ -125,13 +126,20 @@ class TrackedRun:
 
     folder: absolute path, created
     accepted: hash of the code whose finished stages count; None = any
+    overrides: of the command of this process; None = not known
     has_begun: this process has something to tell the store
     """
 
     def __init__(
-        self, config: StoreConfig, folder: Path, record: RunRecord, resolved: dict[str, Any], accepted: str | None
+        self,
+        config: StoreConfig,
+        folder: Path,
+        record: RunRecord,
+        resolved: dict[str, Any],
+        accepted: str | None,
+        overrides: str | None = None,
     ) -> None:
-        self.folder, self.accepted = folder, accepted
+        self.folder, self.accepted, self.overrides = folder, accepted, overrides
         self._tracking, self._record, self._resolved = config.tracking, record, resolved
         self._outputs = Path(config.outputs).absolute()
         self._journal = Journal(folder)
@@ -153,6 +161,12 @@ class TrackedRun:
         experiment_id = self._delivery.done.experiment_id
         has_view = any(entry["kind"] == "view" for _, entry in self._journal.after(0))
         return chart_address(experiment_id, self._tracking.uri, has_view=has_view) if experiment_id else None
+
+    @property
+    def commands(self) -> list[str]:
+        """The commands that made what is in the folder, to paste: of the results, then of this process."""
+        own = [] if self.overrides is None else [self.overrides]
+        return [as_command(overrides) for overrides in dict.fromkeys([*self._record.commands(), *own])]
 
     def begin(self) -> None:
         """From now on the run is RUNNING in the store. UserError where it can be no store, or a damaged one."""
@@ -190,8 +204,11 @@ class TrackedRun:
         source: hash of the code that made it, if not of this process
         """
         self.sync()
-        self._record = self._record.with_finished(stage, key, source or self._record.source)
+        before = self._record.tags
+        self._record = self._record.with_finished(stage, key, source or self._record.source, self.overrides)
         write_record(self.folder, self._record)
+        if self._record.tags != before:
+            self.set_tags(self._record.tags)
 
     def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
         """Scalars of one step; sent in batches, in the order of the calls.
