@@ -10,7 +10,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from negopipe.errors import UserError
-from negopipe.tracking.database import unreachable
+from negopipe.tracking.database import first_line, unreachable
 from negopipe.tracking.pretrained import find_pretrained
 from negopipe.tracking.store import StoreConfig, find_store
 from negopipe.tracking.whole_file import write_whole
@@ -68,8 +68,8 @@ def _from_store(run_id: str, config: StoreConfig) -> Path | None:
         client = find_store(config)
         return _newest_checkpoint(client, run_id) if client else None
     except unreachable() as error:
-        reason = (str(error).splitlines() or [""])[0][:200]
-        raise UserError(f"checkpoint must be in a store that is in reach, got {run_id}: {reason}") from error
+        reached = "in a store that is in reach"
+        raise UserError(f"checkpoint must be {reached}, got {run_id}: {first_line(error)}") from error
 
 
 def _newest_checkpoint(client: "MlflowClient", run_id: str) -> Path | None:

@@ -115,9 +115,9 @@ def _explained(uri: str) -> Iterator[None]:
         yield
     except (MlflowException, ArgumentError, ImportError, ValueError) as error:  # no such kind, driver or setting
         place = f"{_URI_KEY} must be a store that MLflow can open, got {without_password(uri)}"
-        raise UserError(f"{place}: {_first_line(error)}") from error
+        raise UserError(f"{place}: {first_line(error)}") from error
     except SQLAlchemyError as error:
-        raise OSError(f"{without_password(uri)}: {_first_line(error)}") from error
+        raise OSError(f"{without_password(uri)}: {first_line(error)}") from error
 
 
 def _be_impatient() -> None:
@@ -146,7 +146,8 @@ def without_password(uri: str) -> str:
     return shown(re.sub(r"(://[^/@:]*):[^/@]*@", r"\1:***@", uri))
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
+    """What a line may say of an error, whose text may be long, have many lines or none."""
     return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from negopipe.errors import UserError
-from negopipe.tracking.database import connect, follow_move, sqlite_file, store_lock, unreachable
+from negopipe.tracking.database import connect, first_line, follow_move, sqlite_file, store_lock, unreachable
 from negopipe.tracking.dead_runs import close_if_dead
 from negopipe.tracking.journal import JOURNAL_NAME
 
@@ -45,7 +45,7 @@ def main(arguments: list[str]) -> int:
     try:
         deliver(Path(arguments[0]), arguments[1] if len(arguments) > 1 else None)
     except unreachable() as error:
-        print(str(error).splitlines()[0], file=sys.stderr)
+        print(first_line(error), file=sys.stderr)
         return 1
     return 0
 

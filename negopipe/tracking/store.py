@@ -20,7 +20,15 @@ import yaml
 
 from negopipe.schema import Address, Label, PositiveFloat, PositiveInt, schema
 from negopipe.tracking.dashboard import chart_address
-from negopipe.tracking.database import connect, database_path, follow_move, sqlite_file, store_lock, unreachable
+from negopipe.tracking.database import (
+    connect,
+    database_path,
+    first_line,
+    follow_move,
+    sqlite_file,
+    store_lock,
+    unreachable,
+)
 from negopipe.tracking.dead_runs import close_dead_runs, lock_id, process_tags
 from negopipe.tracking.delivery import Delivery
 from negopipe.tracking.journal import Journal
@@ -334,7 +342,7 @@ class TrackedRun:
 
     def _say_out_of_reach(self, error: Exception) -> None:
         if not self._is_out_of_reach:
-            reason = str(error).splitlines()[0][:200]
+            reason = first_line(error)
             log.warning(f"store      is out of reach, what it is to be told waits in {self._journal.path}: {reason}")
         self._is_out_of_reach = True
 
