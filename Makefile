@@ -2,13 +2,15 @@
 SHELL := bash
 .DEFAULT_GOAL := help
 
-PYTHON ?= python3
+# of the command line or the environment, where an empty one is none
+override PYTHON := $(or $(PYTHON),python3)
+override OUTPUTS := $(or $(OUTPUTS),outputs)
+override STORE := $(or $(STORE),$(OUTPUTS))
+override NAME := $(or $(NAME),yield)
+override PORT := $(or $(PORT),5000)
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-OUTPUTS ?= outputs
-NAME ?= yield
-PORT ?= 5000
 ARGS ?=
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/requirements.lock
 
@@ -34,7 +36,7 @@ smoke: $(READY)  ## the whole pipeline, tiny: does it run from end to end?
 	$(BIN)/python -m negopipe +experiment=smoke $(ARGS)
 
 summary: $(READY)  ## what came of the runs of NAME: a table, a figure, the best config
-	@$(BIN)/python -m negopipe.sweeping.summary $(OUTPUTS)/$(NAME) $(ARGS)
+	@$(BIN)/python -m negopipe.sweeping.summary '$(OUTPUTS)/$(NAME)' $(ARGS)
 
 test: $(READY)  ## the fast tests
 	$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
@@ -55,5 +57,5 @@ lint: $(READY)  ## ruff, ruff format, mypy and the lock, as in CI
 lock: $(READY)  ## resolve all dependencies anew: .ci/requirements.lock
 	$(BIN)/python .ci/check_lock.py --write
 
-ui: $(READY)  ## MLflow's dashboard of all runs under OUTPUTS
-	@$(BIN)/python -m negopipe.tracking.dashboard $(OUTPUTS) $(PORT)
+ui: $(READY)  ## MLflow's dashboard of all runs under OUTPUTS, or in STORE=sqlite:///file
+	@$(BIN)/python -m negopipe.tracking.dashboard '$(STORE)' '$(PORT)'

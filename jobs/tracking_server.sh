@@ -15,7 +15,7 @@ set -euo pipefail
 HOST="${HOST:-127.0.0.1}"
 PORT="${PORT:-5000}"
 STORE="${STORE:-$PWD/outputs/tracking_server}"
-BACKEND="${BACKEND:-sqlite:///$STORE/mlflow.db}"
+BACKEND="${BACKEND:-$(python -m negopipe.tracking.sqlite "$STORE/mlflow.db")}"
 ALLOWED_HOSTS="${ALLOWED_HOSTS:-localhost:$PORT,127.0.0.1:$PORT}"
 mkdir -p "$STORE/artifacts"
 export MLFLOW_DISABLE_TELEMETRY=true

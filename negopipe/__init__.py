@@ -4,6 +4,7 @@ The map, from the bottom up (a part imports only what stands above it here):
 
     schema, errors, seeding   how configs are declared, the user's errors, random streams
     torch_settings            torch's process-wide settings, for as long as a call lasts
+    environment               environment variables and the user's home, for code and for conf/
     simulation/   state, geometry, reference_line, verge, road, scenario (tasks), perception,
                   dynamics, simulator
     planner/      polynomials, longitudinal and lateral candidates, prediction, frenet (the choice)

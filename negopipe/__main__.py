@@ -29,14 +29,15 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from negopipe import CONF, hydra_targets
+from negopipe import CONF, environment, hydra_targets
 from negopipe.config_errors import LONGEST_LINE, explain_composition, misread, shown
 from negopipe.errors import UserError
 from negopipe.sweeping import optuna_sweeper
 
 log = logging.getLogger("negopipe")
 
-os.environ.setdefault("GOMP_SPINCOUNT", "30000")
+environment.drop_empty("OMP_NUM_THREADS", "CXX", "TORCHINDUCTOR_CACHE_DIR")  # of torch
+environment.default("GOMP_SPINCOUNT", "30000")
 """Threads of torch that wait spin for a moment only and then sleep: on shared cores endless spinning made
 collecting three times slower, and never spinning costs a quarter on idle ones. Read when torch is imported."""
 
@@ -106,7 +107,7 @@ def run_stages(composed: DictConfig) -> float | None:
     from negopipe.stages.reuse import take_over_training
     from negopipe.sweeping.objective import objective
     from negopipe.tracking.checkpoint import find_checkpoint
-    from negopipe.tracking.database import is_served
+    from negopipe.tracking.dashboard import command_for
     from negopipe.tracking.metrics_file import read
     from negopipe.tracking.run_folder import METRICS_NAME
     from negopipe.tracking.store import open_run
@@ -151,15 +152,18 @@ def run_stages(composed: DictConfig) -> float | None:
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _from_here(run.folder / file_name))
-    how = [] if is_served(config.tracking.uri) else ["make ui"]
-    log.info(f"dashboard  {', then '.join([*how, *([run.charts] if run.charts else [])])}")
+    how = command_for(Path(config.outputs), config.tracking.uri)
+    log.info(f"dashboard  {', then '.join(filter(None, [how, run.charts]))}")
     return objective(read(run.folder / METRICS_NAME), config.objective)
 
 
 def _tags(name: str) -> dict[str, str]:
     """What the command line was, and of which sweep it is a job: runs stay flat, and a tag groups them."""
     hydra = HydraConfig.get()
-    tags = {"overrides": shlex.join(hydra.overrides.task)}
+    places = [source.path for source in hydra.runtime.config_sources if source.provider == "command-line"]
+    where = [word for place in places for word in ("--config-dir", place)]
+    where += [] if hydra.job.config_name == "config" else ["--config-name", str(hydra.job.config_name)]
+    tags = {"overrides": shlex.join([*where, *hydra.overrides.task])}
     if hydra.mode == RunMode.MULTIRUN:
         tags["sweep"] = hydra.sweeper.get("study_name", name)
     return tags

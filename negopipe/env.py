@@ -1,6 +1,5 @@
 """The game as a reinforcement-learning environment: batched worlds that pick a prediction horizon and drive on."""
 
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from negopipe import environment
 from negopipe.chunks import InChunks
 from negopipe.learning.rollout import Transition
 from negopipe.nested import put_under, take_from
@@ -27,7 +27,7 @@ from negopipe.simulation.state import (
     World,
     map_tensors,
     named_tensors,
-    where_world,
+    tree_where,
     with_tensors,
 )
 
@@ -131,8 +131,9 @@ def _compile(fn: Callable) -> Callable:
 
 
 def has_compiler() -> bool:
-    """A C++ compiler is found, which torch.compile needs on the CPU."""
-    return any(shutil.which(name) for name in (os.environ.get("CXX", "g++"), "g++", "clang++"))
+    """A C++ compiler is found, which torch.compile needs on the CPU: that of the variable CXX, if it names one."""
+    named = environment.variable("CXX")
+    return any(shutil.which(name) for name in ([named] if named else ["g++", "clang++"]))
 
 
 class NegotiationEnv:
@@ -160,7 +161,7 @@ class NegotiationEnv:
         """Start a new task in every world; only in the chosen ones [E] bool, which get the tasks that they would get
         among all."""
         started = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
-        self.world: World = started if is_chosen is None else where_world(is_chosen, started, self.world)
+        self.world: World = started if is_chosen is None else tree_where(is_chosen, started, self.world)
         self._observation = self.game.see(self.world)
 
     def observe(self) -> Tensor:

@@ -7,12 +7,13 @@ that `negopipe.config` turns into one line.
 
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from typing_extensions import dataclass_transform
+
+from negopipe.environment import expanded
 
 LARGEST = 1e6
 """Of any number. Roads, speeds and weights are far below it, and float32, which ends at 3e38, holds its powers."""
@@ -62,14 +63,10 @@ def _is_printable(text: str) -> str:
 
 
 def _is_path(text: str) -> str:
-    """No file system takes longer names, and `~nobody` is nobody's home."""
+    """The path with `~` replaced, for every key that is one. No file system takes longer names."""
     if not text.isprintable() or len(text) > 1000 or max(len(part.encode()) for part in text.split("/")) > 255:
         raise ValueError("must be a path of printable characters, at most 1000 in all and 255 bytes between two /")
-    try:
-        Path(text).expanduser()
-    except RuntimeError as error:
-        raise ValueError("must begin with the name of a user where it begins with ~") from error
-    return text
+    return expanded(text)
 
 
 Real = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
@@ -82,6 +79,7 @@ PositiveInt = Annotated[int, Field(ge=1, le=N_MOST)]
 NonNegativeInt = Annotated[int, Field(ge=0, le=N_MOST)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Label = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_is_printable)]
+Address = Annotated[str, Field(min_length=1, max_length=2000), AfterValidator(_is_printable)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
 Interval = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_is_ordered)]
 PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_is_ordered)]

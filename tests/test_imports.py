@@ -11,7 +11,17 @@ import negopipe
 PACKAGE = Path(negopipe.__file__).parent
 
 FLOORS = (
-    ("errors", "schema", "config_errors", "hydra_targets", "seeding", "stored", "nested", "torch_settings"),
+    (
+        "errors",
+        "environment",
+        "schema",
+        "config_errors",
+        "hydra_targets",
+        "seeding",
+        "stored",
+        "nested",
+        "torch_settings",
+    ),
     ("simulation.state", "simulation.geometry", "simulation.chance"),
     ("simulation.reference_line", "simulation.verge"),
     (

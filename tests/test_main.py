@@ -230,6 +230,31 @@ def test_stages_run_in_order_and_paths_are_shown(command: Command, monkeypatch: 
     assert statuses(Path("here")) == {"seed4": "FINISHED", "seed5": "FAILED"}
 
 
+def test_the_recorded_command_is_the_jobs_own(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """... of a sweep its job's, without -m, with the folder of its experiment, and never a later replay's."""
+    told = {}
+
+    def stage(config: RunConfig, run: TrackedRun) -> None:
+        told[config.seed] = run.commands
+
+    for name in ("evaluate", "replay"):
+        replace_stage(monkeypatch, name, stage)
+    more = Path("my configs") / "experiment" / "mine.yaml"
+    more.parent.mkdir(parents=True)
+    more.write_text("# @package _global_\nname: mine\n")
+    where = f"--config-dir '{more.parent.parent.absolute()}'"
+    swept = ["-m", "--config-dir", "my configs", "+experiment=mine", "stages=[evaluate]", "seed=1,2"]
+    assert command(*swept)[0] == 0
+    expected = [f"python -m negopipe {where} +experiment=mine 'stages=[evaluate]' seed={seed}" for seed in (1, 2)]
+    assert told == {1: [expected[0]], 2: [expected[1]]}
+    later = ["--config-dir", "my configs", "+experiment=mine", "stages=[replay]", "episode=push/adaptive/1", "seed=2"]
+    assert command(*later)[0] == 0
+    assert told[2][0] == expected[1]
+    assert "'stages=[replay]' episode=push/adaptive/1" in told[2][1]
+    (record,) = Path("outputs/mine").glob("seed2-*/record.json")
+    assert json.loads(record.read_text())["tags"]["overrides"] == expected[1].removeprefix("python -m negopipe ")
+
+
 FOUR_STARTS = """
 import json, os, signal, sys, time, types
 import mlflow.store.tracking.sqlalchemy_store, sqlalchemy.orm, negopipe.config, negopipe.__main__ as entry

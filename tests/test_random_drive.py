@@ -17,7 +17,7 @@ from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.simulator import Simulator
 from negopipe.simulation.state import EGO, World
 
-N_DECISIONS = int(os.environ.get("NEGOPIPE_RANDOM_DECISIONS", "1000000"))
+N_DECISIONS = int(os.environ.get("NEGOPIPE_RANDOM_DECISIONS") or "1000000")
 N_WORLDS = min(4096, max(1, N_DECISIONS // 128))
 N_STEPS = -(-N_DECISIONS // N_WORLDS)
 

@@ -25,6 +25,7 @@ class RecordedRun:
         self.tags: dict[str, str] = {}
         self.images: list[tuple[str, int]] = []
         self.tables: dict[str, pd.DataFrame] = {}
+        self.commands = ["python -m negopipe +experiment=recorded"]
 
     @property
     def sections(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from negopipe import environment
 from negopipe.env import has_compiler
 from negopipe.errors import UserError
 from negopipe.tracking.whole_file import write_whole
@@ -68,7 +69,7 @@ def prepare(config: "RunConfig") -> None:
     if config.compile == "on":
         _set_up_compiler()
     if config.device == "cuda":
-        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+        environment.default("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
         torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
 

@@ -2,11 +2,8 @@
 
 import json
 import platform
-import shlex
-import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from negopipe.errors import UserError
@@ -21,13 +18,13 @@ PACKAGES = ("negopipe", "torch", "numpy", "pandas", "matplotlib", "hydra-core", 
 """Whose versions the page names."""
 
 
-def provenance(seed: int, folder: Path) -> Provenance:
-    config_path = folder / "config.yaml"
+def provenance(seed: int, run: "TrackedRun") -> Provenance:
+    """How the run's results and its report were made. UserError where the run's config is missing."""
+    config_path = run.folder / "config.yaml"
     if not config_path.is_file():
         raise UserError(f"{config_path}: no such file; every run writes it when it starts")
-    command = shlex.join(["python", "-m", "negopipe", *sys.argv[1:]])
     versions = {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
-    return Provenance(command, seed, config_path.read_text(encoding="utf-8"), versions)
+    return Provenance("\n".join(run.commands), seed, config_path.read_text(encoding="utf-8"), versions)
 
 
 def write_claims(run: "TrackedRun", claims: Sequence[Claim]) -> None:

@@ -110,7 +110,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     verdicts = headlines(results.evaluation, results.versus)
     title = f"{config.name}, seed {config.seed}"
     tested = claims if any(claim.verdict != "not tested" for claim in claims) else []
-    page = build_page(title, verdicts, chapters(results), tested, sections, provenance(config.seed, run.folder))
+    page = build_page(title, verdicts, chapters(results), tested, sections, provenance(config.seed, run))
     (run.folder / "report.html").write_text(page, encoding="utf-8")
     for gallery in (drawings, films):
         if any(gallery.folder.iterdir()):

@@ -40,7 +40,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     tested = [claim for claim in (curriculum_claim(found),) if claim is not None]
     if tested:
         write_claims(run, tested)
-    page = build_page(title, verdicts, chapters, tested, sections, provenance(config.seed, run.folder))
+    page = build_page(title, verdicts, chapters, tested, sections, provenance(config.seed, run))
     path = run.folder / "report.html"
     write_whole(path, page.encode())
     run.log_artifact(path)

@@ -26,7 +26,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from negopipe.config_errors import explain_validation
 from negopipe.errors import UserError
-from negopipe.schema import NonNegativeInt, PositiveInt, schema
+from negopipe.schema import Address, NonNegativeInt, PositiveInt, schema
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
@@ -53,7 +53,7 @@ class OptunaSweeperConfig:
     """How to search; `conf/hydra/sweeper/optuna.yaml` says what each value means."""
 
     study_name: str
-    storage: str | None
+    storage: Address | None
     direction: Literal["maximize", "minimize"]
     n_trials: PositiveInt
     n_jobs: PositiveInt
@@ -111,10 +111,9 @@ class OptunaSweeper(Sweeper):
         fixed, space = split_overrides(parser.parse_overrides(params + arguments))
         search = self._describe(fixed, space)
         folder = Path(self.config.hydra.sweep.dir)
-        folder.mkdir(parents=True, exist_ok=True)
-        OmegaConf.save(self.config, folder / "multirun.yaml")
         name, storage, direction = self.settings.study_name, self.settings.storage, self.settings.direction
         with open_study(folder, name, storage, direction, search, self.config.reuse == "any_code") as study:
+            OmegaConf.save(self.config, folder / "multirun.yaml")
             log.info(f"study      {name}: {_listed(study.counts()) or 'begins'}")
             self._run_trials(study, fixed, space)
             log.info(f"study      {name}: {_listed(study.counts())}")

@@ -20,6 +20,8 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from negopipe.errors import UserError
+from negopipe.tracking.database import without_password
+from negopipe.tracking.sqlite import address, file_of, is_address
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -34,6 +36,7 @@ Direction = Literal["maximize", "minimize"]
 DATABASE_NAME = "optuna.db"
 _LOCK_NAME = ".optuna.lock"
 _SEARCH = "search"
+_STORAGE_KEY = "hydra.sweeper.storage"
 
 
 @contextmanager
@@ -54,12 +57,13 @@ def open_study(
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
+    storage = _address(folder, storage)
     folder.mkdir(parents=True, exist_ok=True)
     process = uuid.uuid4().hex
     with FileLock(_lock_file(folder, process)):
         try:
             with FileLock(folder / _LOCK_NAME):
-                study = _load(storage or f"sqlite:///{(folder / DATABASE_NAME).absolute()}", name, direction)
+                study = _load(storage, name, direction)
                 _check_search(study, name, {"direction": direction, **search}, takes_any_code)
             yield SharedStudy(study, folder, process)
         finally:
@@ -127,14 +131,21 @@ class SharedStudy:
         return [trial for trial in dead if set(trial.params) == set(space)]
 
 
+def _address(folder: Path, storage: str | None) -> str:
+    """Of the study's database, before anything is made."""
+    if storage is None:
+        return address(folder / DATABASE_NAME, "outputs")
+    return address(file_of(storage, _STORAGE_KEY), _STORAGE_KEY) if is_address(storage) else storage
+
+
 def _load(storage: str, name: str, direction: Direction) -> "Study":
     import optuna
 
     try:
         return optuna.create_study(storage=storage, study_name=name, direction=direction, load_if_exists=True)
     except Exception as error:  # of SQLAlchemy, or of a database's driver
-        problem = f"{storage}: {type(error).__name__}: {str(error).splitlines()[0]}"
-        raise UserError(f"hydra.sweeper.storage must be a database that can be opened, got {problem}") from error
+        problem = f"{without_password(storage)}: {type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
+        raise UserError(f"{_STORAGE_KEY} must be a database that can be opened, got {problem}") from error
 
 
 def _check_search(study: "Study", name: str, search: Mapping[str, Any], takes_any_code: bool) -> None:

@@ -32,6 +32,7 @@ from negopipe.sweeping.swept_runs import (
     tabulate,
 )
 from negopipe.tracking.names import without_implied
+from negopipe.tracking.record import as_command
 
 TABLE_NAME, FIGURE_NAME = "summary.csv", "parallel_coordinates"
 N_SHOWN = 40
@@ -77,19 +78,22 @@ def summarize(folder: Path, sweep: str | None, objective: list[str] | None, mini
         print(f"figure     {target / FIGURE_NAME}.png{left_out}")
     name = table.iloc[0][RUNS].split()[0]
     best = next(run for run in runs if run.name == name)
-    hint = "" if best.overrides else " (add its experiment: the command is not recorded)"
+    hint = "" if best.commands else " (add its experiment: the command is not recorded)"
     print(f"best       {folder / name}{hint}\n\n  {paste(best, differing)}\n")
 
 
 def paste(run: SweptRun, differing: Sequence[str]) -> str:
-    """The command that makes the run, without its seed.
+    """The command that makes the run's results, without its seed; several lines where it took several.
 
     Where it is not recorded it is made of the keys that differ, and the experiment has to be added by hand.
     """
-    overrides = [text for text in run.overrides if not text.lstrip("+").startswith("seed=")]
-    if not run.overrides:
-        overrides = [f"{key}={_override_text(run.config.get(key))}" for key in differing]
-    return " ".join(["python -m negopipe", *map(shlex.quote, overrides)])
+    from_config = tuple(f"{key}={_override_text(run.config.get(key))}" for key in differing)
+    commands = [[text for text in texts if not _is_seed(text)] for texts in run.commands or [from_config]]
+    return "\n  ".join(dict.fromkeys(as_command(shlex.join(texts)) for texts in commands))
+
+
+def _is_seed(override: str) -> bool:
+    return override.lstrip("+").startswith("seed=")
 
 
 def _own_objective(runs: list[SweptRun]) -> list[str]:

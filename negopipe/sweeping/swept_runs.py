@@ -32,15 +32,20 @@ class SweptRun:
 
     config: flat, `{"algorithm.gamma": 0.99}`; a list of mappings is flat too, other lists are whole
     finished: stages that were run to their end
-    overrides: of the command that made it; none where that is not recorded
+    commands: overrides of each command that made its results; none where that is not recorded
     """
 
     name: str
     config: dict[str, Any]
     metrics: dict[str, Any]
     finished: tuple[str, ...]
-    overrides: tuple[str, ...]
+    commands: tuple[tuple[str, ...], ...]
     sweep: str | None
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """Of the last command that made results; none where that is not recorded."""
+        return self.commands[-1] if self.commands else ()
 
     @property
     def status(self) -> str:
@@ -105,7 +110,7 @@ def _read_run(folder: Path) -> SweptRun:
         config=flat(yaml.safe_load((folder / CONFIG_NAME).read_text(encoding="utf-8"))),
         metrics=read(folder / METRICS_NAME),
         finished=tuple(record.finished) if record else (),
-        overrides=tuple(shlex.split(tags.get("overrides", ""))),
+        commands=tuple(tuple(shlex.split(text)) for text in record.commands()) if record else (),
         sweep=tags.get("sweep"),
     )
 

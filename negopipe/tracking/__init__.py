@@ -1,5 +1,6 @@
 """What a run leaves behind: its folder, its record in the MLflow store, its checkpoints."""
 
-import os
+from negopipe import environment
 
-os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read when mlflow is imported, which only happens below
+environment.drop_empty("MLFLOW_")  # read when mlflow is imported, which only happens below
+environment.default("MLFLOW_DISABLE_TELEMETRY", "true")

@@ -10,6 +10,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from negopipe.errors import UserError
+from negopipe.tracking.database import first_line, unreachable
 from negopipe.tracking.pretrained import find_pretrained
 from negopipe.tracking.store import StoreConfig, find_store
 from negopipe.tracking.whole_file import write_whole
@@ -52,15 +53,23 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 def find_checkpoint(reference: str, config: StoreConfig) -> Path:
     """The file that `checkpoint` means: a path, a policy that comes with negopipe (`negopipe.tracking.pretrained`), or
     the id of an MLflow run, of which it is the newest one."""
-    path = find_pretrained(reference, config.name) or Path(reference).expanduser()
+    path = find_pretrained(reference, config.name) or Path(reference)
     if path.is_file():
         return path
-    client = find_store(config) if _RUN_ID.fullmatch(reference) else None
-    newest = _newest_checkpoint(client, reference) if client else None
+    newest = _from_store(reference, config) if _RUN_ID.fullmatch(reference) else None
     if newest is None:
         allowed = "an existing file, pretrained, or the id of an MLflow run that saved one"
         raise UserError(f"checkpoint must be {allowed}, got {reference}")
     return newest
+
+
+def _from_store(run_id: str, config: StoreConfig) -> Path | None:
+    try:
+        client = find_store(config)
+        return _newest_checkpoint(client, run_id) if client else None
+    except unreachable() as error:
+        reached = "in a store that is in reach"
+        raise UserError(f"checkpoint must be {reached}, got {run_id}: {first_line(error)}") from error
 
 
 def _newest_checkpoint(client: "MlflowClient", run_id: str) -> Path | None:

@@ -1,13 +1,20 @@
-"""`make ui`: MLflow's dashboard over the store of an outputs folder, on this machine only."""
+"""`make ui`: MLflow's dashboard, on this machine only, of an outputs folder or of a database at an address.
+
+`python -m negopipe.tracking.dashboard <outputs or sqlite:///file> [<port>]`
+"""
 
 import os
+import shlex
 import sqlite3
 import sys
 from contextlib import closing
 from pathlib import Path
 
-from negopipe.tracking.database import database_path, is_served
+from negopipe.config_errors import shown
+from negopipe.errors import UserError
+from negopipe.tracking.database import follow_move, is_served, sqlite_file, store_lock, without_password
 from negopipe.tracking.saved_view import TAG, VIEW
+from negopipe.tracking.sqlite import address, open_read_only
 
 CHARTS = "#/experiments/{}/runs?workflowType=machine_learning&compareRunsMode=CHART"
 """The page of an experiment that opens on the charts of all its runs; MLflow's start page is another one."""
@@ -15,6 +22,8 @@ COMPARISON = f"&viewStateShareKey={VIEW}"
 """... with the saved view that compares them first."""
 PORT = 5000
 """Of the dashboard, as the Makefile has it."""
+OUTPUTS = "outputs"
+"""The folder that `make ui` shows, as the Makefile has it."""
 
 
 def chart_address(experiment_id: str, uri: str | None = None, port: int = PORT, has_view: bool = False) -> str:
@@ -26,31 +35,77 @@ def chart_address(experiment_id: str, uri: str | None = None, port: int = PORT, 
     return f"{server}/{CHARTS.format(experiment_id)}{COMPARISON if has_view else ''}"
 
 
+def command_for(outputs: Path, uri: str | None) -> str | None:
+    """The command that shows a store's dashboard; None where the store has a server, which shows it."""
+    if is_served(uri):
+        return None
+    if uri is None and outputs.absolute() == Path(OUTPUTS).absolute() and Path("Makefile").is_file():
+        return "make ui"
+    database = sqlite_file(outputs, uri) if uri is not None else None
+    place = str(outputs.absolute()) if uri is None else (address(database, "tracking.uri") if database else uri)
+    return f"python -m negopipe.tracking.dashboard {shlex.quote(place)}"
+
+
 def chart_addresses(database: Path, port: int) -> dict[str, str]:
     """Address of the charts by experiment, the experiment with the latest run first."""
     query = """SELECT experiments.name, experiment_id, EXISTS (
                    SELECT * FROM experiment_tags AS tags WHERE tags.experiment_id = runs.experiment_id AND key = ?
                ) FROM experiments JOIN runs USING (experiment_id)
                GROUP BY experiment_id ORDER BY MAX(start_time) DESC"""
-    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
+    with closing(open_read_only(database)) as connection:
         rows = connection.execute(query, (TAG,)).fetchall()
     return {name: chart_address(key, port=port, has_view=bool(has_view)) for name, key, has_view in rows}
 
 
-def main(outputs: str, port: str) -> None:
-    """Print where the charts are, then become the server."""
-    database = database_path(Path(outputs))
-    if not database.exists():
-        sys.exit(f"no runs are recorded under {outputs} yet: try make yield")
+def main(arguments: list[str]) -> int:
+    """Print where the charts are, then become the server; 1 after a line that says what is wrong."""
+    if not 1 <= len(arguments) <= 2 or arguments[0] in ("-h", "--help"):
+        print(__doc__)
+        return 0 if arguments in (["-h"], ["--help"]) else 2
+    try:
+        store, port = _store(arguments[0]), _port(arguments[1] if len(arguments) > 1 else str(PORT))
+    except (UserError, sqlite3.Error) as error:
+        print(error, file=sys.stderr)
+        return 1
     print("The dashboard is ready in some seconds; Ctrl-C stops it. Charts:")
-    for name, address in chart_addresses(database, int(port)).items():
-        print(f"  {name}: {address}", flush=True)
+    charts = chart_addresses(store, port) if isinstance(store, Path) else {"all": f"http://127.0.0.1:{port}"}
+    for name, place in charts.items():
+        print(f"  {name}: {place}", flush=True)
+    _serve(address(store, "the store") if isinstance(store, Path) else store, port)
+    return 0
+
+
+def _store(place: str) -> Path | str:
+    """The SQLite file of an outputs folder or at an address, whose artifacts are found; else the address."""
+    uri = place if "://" in place else None
+    if is_served(uri):
+        raise UserError(f"the store must be a folder or a database, got {place}: a server shows itself, open it there")
+    outputs = Path(place if uri is None else ".").expanduser().absolute()
+    database = sqlite_file(outputs, uri)
+    if database is None:
+        return place
+    if not database.exists():
+        raise UserError(f"no runs are recorded in {without_password(place)} yet: try make yield")
+    if uri is None:
+        with store_lock(outputs):
+            follow_move(outputs, uri)
+    else:
+        follow_move(outputs, uri)
+    return database
+
+
+def _port(text: str) -> int:
+    if not (text.isdecimal() and 0 < int(text) < 2**16):
+        raise UserError(f"the port must be a number from 1 to 65535, got {shown(text)}")
+    return int(text)
+
+
+def _serve(uri: str, port: int) -> None:
     os.environ["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] = "false"  # schedulers for traces, of which there are none
-    place = ["--host", "127.0.0.1", "--port", port]
-    store = ["--backend-store-uri", f"sqlite:///{database}"]
+    place = ["--host", "127.0.0.1", "--port", str(port)]
     quiet = ["--workers", "1", "--uvicorn-opts", "--log-level warning"]
-    os.execv(sys.executable, [sys.executable, "-m", "mlflow", "server", *place, *store, *quiet])
+    os.execv(sys.executable, [sys.executable, "-m", "mlflow", "server", *place, "--backend-store-uri", uri, *quiet])
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    sys.exit(main(sys.argv[1:]))

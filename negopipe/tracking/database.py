@@ -2,15 +2,21 @@
 
 import logging
 import os
+import re
 import sqlite3
 import uuid
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import unquote
 
 from filelock import FileLock
 
+from negopipe.config_errors import shown
+from negopipe.environment import default, variable
 from negopipe.errors import UserError
+from negopipe.tracking.sqlite import address, check_path, file_of, is_address, open_read_only
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -25,7 +31,7 @@ _LOCATIONS = (
 
 _IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "5"}
 """MLflow would wait for a server for minutes. Here what cannot be sent stays in the journal and is sent later."""
-_SQLITE = "sqlite:///"
+_URI_KEY = "tracking.uri"
 _CHECKED_BYTES = 100_000_000
 """Larger databases are not read through at a start: it would take seconds."""
 
@@ -35,9 +41,33 @@ def database_path(outputs: Path) -> Path:
     return outputs.absolute() / "mlflow" / "mlflow.db"
 
 
-def artifact_location(outputs: Path) -> str:
-    """Where experiments keep their artifacts: beside the database (MLflow would take the current folder)."""
-    return (database_path(outputs).parent / "artifacts").as_uri()
+def sqlite_file(outputs: Path, uri: str | None) -> Path | None:
+    """The SQLite file of the store at `uri`, None = the one of `outputs`; None for any other database and for a server.
+
+    Nothing is made. Raises UserError where there can be no such file.
+    """
+    if uri is None:
+        database = database_path(outputs)
+        check_path(_draft(database), "outputs")
+        return database
+    if not is_address(uri):
+        return None
+    database = file_of(uri, _URI_KEY)
+    check_path(database, _URI_KEY)
+    if not database.parent.is_dir():
+        raise UserError(f"{_URI_KEY} must name a file in an existing folder, got {shown(uri)}")
+    return database
+
+
+def artifact_location(outputs: Path, uri: str | None) -> str | None:
+    """Where new experiments of a store keep their artifacts: beside its SQLite file, so that both can be moved
+    together; None where a server knows; else in `outputs`."""
+    if is_served(uri):
+        return None
+    database = sqlite_file(outputs, uri)
+    if database is None or uri is None:
+        return (database_path(outputs).parent / "artifacts").as_uri()
+    return database.with_name(f"{database.stem}-artifacts").as_uri()
 
 
 def store_lock(outputs: Path) -> FileLock:
@@ -55,38 +85,70 @@ def is_served(uri: str | None) -> bool:
 def connect(outputs: Path, uri: str | None) -> "MlflowClient":
     """A client of the store at `uri`, None = the database of `outputs`, which is made if need be.
 
-    A server is not asked yet whether it is there. Hold `store_lock`. Raises UserError if MLflow cannot open `uri`.
+    A server is not asked yet whether it is there. Hold `store_lock`. Raises UserError if MLflow cannot open `uri`,
+    and OSError if it is a database that is out of reach for now.
     """
-    for name, value in _IMPATIENT.items():
-        os.environ.setdefault(name, value)
-    from mlflow import MlflowClient
-    from mlflow.exceptions import MlflowException
+    database = sqlite_file(outputs, uri)
+    if uri is None and database is not None:
+        _check(database) if database.exists() else _create(database)
+    elif database is not None and database.exists():
+        _check(database)
+    return _open(address(database, _URI_KEY) if database else str(uri))
 
-    for logger in ("mlflow", "alembic"):
-        logging.getLogger(logger).setLevel(logging.WARNING)
-    try:
-        if uri is None:
-            database = database_path(outputs)
-            if database.exists():
-                _check(database)
-                _follow_move(database, outputs)
-            else:
-                _create(database)
-            uri = f"{_SQLITE}{database}"
-        elif uri.startswith(_SQLITE):
-            _check_place(Path(uri.removeprefix(_SQLITE)))
+
+def _open(uri: str) -> "MlflowClient":
+    with _explained(uri):
+        from mlflow import MlflowClient
+
         _set_tracking_uri(uri)
         return MlflowClient()
-    except MlflowException as error:
-        reason = str(error).splitlines()[0][:200]
-        raise UserError(f"tracking.uri must be a store that MLflow can open, got {uri}: {reason}") from error
 
 
-def _check_place(database: Path) -> None:
-    if database.exists():
-        _check(database)
-    elif not database.parent.is_dir():
-        raise UserError(f"tracking.uri must name a file in an existing folder, got {_SQLITE}{database}")
+@contextmanager
+def _explained(uri: str) -> Iterator[None]:
+    """What MLflow and its database libraries raise about an address, as `connect` does."""
+    _be_impatient()
+    from mlflow.exceptions import MlflowException
+    from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+
+    try:
+        yield
+    except (MlflowException, ArgumentError, ImportError, ValueError) as error:  # no such kind, driver or setting
+        place = f"{_URI_KEY} must be a store that MLflow can open, got {without_password(uri)}"
+        raise UserError(f"{place}: {first_line(error)}") from error
+    except SQLAlchemyError as error:
+        raise OSError(f"{without_password(uri)}: {first_line(error)}") from error
+
+
+def _be_impatient() -> None:
+    """Let MLflow report at once that a server or a database is out of reach; UserError for a setting that is none."""
+    for name, value in _IMPATIENT.items():
+        default(name, value)
+        if not (variable(name) or "").isdecimal():
+            raise UserError(f"the environment variable {name} must be a whole number, got {shown(os.environ[name])}")
+    from mlflow.store.db import utils
+
+    utils.MAX_RETRY_COUNT = 1  # there is no setting; with 10 it tries for 100 s
+    for logger in ("mlflow", "alembic"):
+        logging.getLogger(logger).setLevel(logging.WARNING)
+
+
+def unreachable() -> tuple[type[Exception], ...]:
+    """What is raised where a store or its server is gone for a while."""
+    from mlflow.exceptions import MlflowException
+    from sqlalchemy.exc import SQLAlchemyError
+
+    return MlflowException, SQLAlchemyError, OSError, UserError
+
+
+def without_password(uri: str) -> str:
+    """An address as a line may show it."""
+    return shown(re.sub(r"(://[^/@:]*):[^/@]*@", r"\1:***@", uri))
+
+
+def first_line(error: Exception) -> str:
+    """What a line may say of an error, whose text may be long, have many lines or none."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
 def _set_tracking_uri(uri: str) -> None:
@@ -122,12 +184,13 @@ def _check(database: Path) -> None:
 
 def _create(database: Path) -> None:
     """Make the tables under another name: MLflow can neither use nor mend a database that is half made."""
-    from mlflow import MlflowClient
-
     for left_behind in database.parent.glob("*.draft"):
         left_behind.unlink()
-    draft = database.with_name(f"{uuid.uuid4().hex}.draft")  # a name anew: MLflow remembers what it has opened
-    MlflowClient(f"sqlite:///{draft}")
+    draft = _draft(database)  # a name anew: MLflow remembers what it has opened
+    with _explained(uri := address(draft, "outputs")):
+        from mlflow import MlflowClient
+
+        MlflowClient(uri)
     for companion in ("-wal", "-shm"):  # of a database that was moved away without them
         database.with_name(database.name + companion).unlink(missing_ok=True)
     os.replace(draft, database)
@@ -135,14 +198,36 @@ def _create(database: Path) -> None:
         connection.execute("PRAGMA journal_mode=WAL")
 
 
-def _follow_move(database: Path, outputs: Path) -> None:
-    """MLflow keeps absolute locations; after `outputs` was moved or mounted elsewhere, let them point to it."""
-    new = artifact_location(outputs)
-    query = "SELECT artifact_location FROM experiments WHERE artifact_location LIKE '%/mlflow/artifacts'"
+def _draft(database: Path) -> Path:
+    return database.with_name(f"{uuid.uuid4().hex[:12]}.draft")
+
+
+def follow_move(outputs: Path, uri: str | None) -> None:
+    """MLflow keeps absolute locations; after the SQLite file was moved or mounted elsewhere, let them point to what
+    lies beside it. Cheap where nothing was moved."""
+    database = sqlite_file(outputs, uri)
+    if database is None or not database.exists():
+        return
+    new = str(artifact_location(outputs, uri))
+    ending = "/mlflow/artifacts" if uri is None else f"/{new.rpartition('/')[2]}"
+    try:
+        with closing(open_read_only(database)) as connection:
+            rows = connection.execute("SELECT DISTINCT artifact_location FROM experiments").fetchall()
+    except sqlite3.DatabaseError:  # damaged or no store: whoever opens it says so
+        return
+    others = [old for (old,) in rows if old and old != new and old.endswith(ending)]
+    moved = [old for old in others if _folder(new).exists() or not _folder(old).exists()]
+    if moved:
+        _replace_locations(database, moved, new)
+
+
+def _folder(location: str) -> Path:
+    return Path(unquote(location.removeprefix("file://")))
+
+
+def _replace_locations(database: Path, moved: list[str], new: str) -> None:
     with closing(sqlite3.connect(database)) as connection, connection:
-        (old,) = connection.execute(query).fetchone() or (new,)
-        if old == new:
-            return
-        for table, column in _LOCATIONS:
-            update = f"UPDATE {table} SET {column} = ? || substr({column}, ?) WHERE substr({column}, 1, ?) = ?"
-            connection.execute(update, (new, len(old) + 1, len(old), old))
+        for old in moved:
+            for table, column in _LOCATIONS:
+                update = f"UPDATE {table} SET {column} = ? || substr({column}, ?) WHERE substr({column}, 1, ?) = ?"
+                connection.execute(update, (new, len(old) + 1, len(old), old))

@@ -1,25 +1,35 @@
-"""Runs that say RUNNING in a store while no process holds their folder: they are told to the end and closed."""
+"""Runs whose process died: they are told to the end and closed as KILLED, those of this outputs folder only.
 
+A store is not searched for them: others may report to it, too, from machines and containers of the same name. A run is
+dead where its own folder says so: its journal has begun and not ended, and the lock that its process held is free.
+"""
+
+import logging
 import os
 import socket
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
 from negopipe.tracking.delivery import Delivery
-from negopipe.tracking.journal import Journal
+from negopipe.tracking.journal import JOURNAL_NAME, Journal, has_ended
 from negopipe.tracking.run_folder import LOCK_NAME
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-HOST_TAG, FOLDER_TAG, PID_TAG = "host", "folder", "pid"
+log = logging.getLogger("negopipe")
 
 
 def process_tags(folder: Path) -> dict[str, str]:
-    """By these the next start finds the run, should this process die."""
-    return {HOST_TAG: socket.gethostname(), PID_TAG: str(os.getpid()), FOLDER_TAG: str(folder)}
+    """Where a run is worked on, for who reads the store."""
+    return {"host": socket.gethostname(), "pid": str(os.getpid()), "folder": str(folder)}
+
+
+def lock_id(folder: Path) -> int:
+    """What tells the lock of a run folder from that of a copy of the folder: nobody holds the copy's."""
+    return (folder / LOCK_NAME).stat().st_ino
 
 
 def close_if_dead(folder: Path, outputs: Path, uri: str | None, client: "MlflowClient") -> Delivery | None:
@@ -29,30 +39,61 @@ def close_if_dead(folder: Path, outputs: Path, uri: str | None, client: "MlflowC
     """
     try:
         with FileLock(folder / LOCK_NAME, blocking=False):
-            journal = Journal(folder)
-            kinds = [entry["kind"] for _, entry in journal.after(0) if entry["kind"] in ("begin", "end")]
-            if kinds and kinds[-1] == "begin":
-                journal.append("end", status="KILLED")
-            delivery = Delivery(folder, journal, outputs, uri)
-            delivery.deliver(client)
-            return delivery
+            return _end(folder, outputs, uri, client)
     except Timeout:
         return None
 
 
 def close_dead_runs(client: "MlflowClient", own: Delivery) -> None:
-    """Close in the store of `own`, the delivery of this process's run, what dead processes of this host left.
+    """Close what dead processes left of those runs in the outputs folder that reported to the store of `own`, which
+    is the delivery of this process's run.
 
-    Raises MlflowException or OSError where the store is out of reach.
+    Hold `store_lock`, so that nobody takes a folder meanwhile. Raises MlflowException or OSError where the store is out
+    of reach: then the next start does it.
     """
-    experiments = [experiment.experiment_id for experiment in client.search_experiments()]
-    is_ours = f"attributes.status = 'RUNNING' and tags.{HOST_TAG} = '{socket.gethostname()}'"
-    for found in client.search_runs(experiments, is_ours):
-        run_id, folder = found.info.run_id, Path(found.data.tags[FOLDER_TAG])
-        if run_id == own.done.run_id:
-            continue
-        if folder != own.folder and folder.exists():
-            delivery = close_if_dead(folder, own.outputs, own.uri, client)
-            if delivery is None or delivery.done.run_id == run_id:
-                continue
-        client.set_terminated(run_id, "KILLED")
+    for path in own.outputs.glob(f"*/*/{JOURNAL_NAME}"):
+        if path.parent != own.folder and _may_be_dead(path):
+            _close_own(path.parent, client, own)
+
+
+def _may_be_dead(journal: Path) -> bool:
+    try:
+        return not has_ended(journal)
+    except OSError:  # deleted just now, or not for us to read
+        return False
+
+
+def _close_own(folder: Path, client: "MlflowClient", own: Delivery) -> None:
+    try:
+        lock = FileLock(folder / LOCK_NAME, blocking=False)
+        lock.acquire()
+    except (Timeout, OSError):  # alive, or not ours to take
+        return
+    try:
+        begun = _begun(Journal(folder))
+        if begun is not None and (begun.get("store"), begun.get("lock")) == (own.store, lock_id(folder)):
+            _end(folder, own.outputs, own.uri, client)
+    except (ValueError, KeyError) as error:
+        log.warning(f"run        {folder} is left as it is, its journal cannot be read: {error}")
+    finally:
+        lock.release()
+
+
+def _end(folder: Path, outputs: Path, uri: str | None, client: "MlflowClient") -> Delivery:
+    """It ends in the journal only once the store has all before: else no later start would look at it again."""
+    journal = Journal(folder)
+    delivery = Delivery(folder, journal, outputs, uri)
+    delivery.deliver(client)
+    if _begun(journal) is not None:
+        journal.append("end", status="KILLED")
+        delivery.deliver(client)
+    return delivery
+
+
+def _begun(journal: Journal) -> dict[str, Any] | None:
+    """The last entry `begin`; None where the run has not begun or has ended since."""
+    last = None
+    for _, entry in journal.after(0):
+        if entry["kind"] in ("begin", "end"):
+            last = entry
+    return last if last and last["kind"] == "begin" else None

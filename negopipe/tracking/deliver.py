@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from negopipe.errors import UserError
-from negopipe.tracking.database import connect, store_lock
+from negopipe.tracking.database import connect, first_line, follow_move, sqlite_file, store_lock, unreachable
 from negopipe.tracking.dead_runs import close_if_dead
 from negopipe.tracking.journal import JOURNAL_NAME
 
@@ -19,16 +19,22 @@ def deliver(outputs: Path, uri: str | None) -> int:
     Raises UserError where it can be no store, MlflowException or OSError where it is out of reach.
     """
     outputs = outputs.absolute()
+    sqlite_file(outputs, uri)
     folders = [path.parent for path in sorted(outputs.glob(f"*/*/{JOURNAL_NAME}"))]
     if not folders:
         raise UserError(f"outputs must be a folder with runs (<outputs>/<name>/<run>), got {outputs}")
     n_delivered = 0
     with store_lock(outputs):
+        follow_move(outputs, uri)
         client = connect(outputs, uri)
         for folder in folders:
-            is_told = close_if_dead(folder, outputs, uri, client) is not None
+            try:
+                is_told = close_if_dead(folder, outputs, uri, client) is not None
+                what = "delivered" if is_told else "in use, left alone"
+            except (ValueError, KeyError) as error:
+                is_told, what = False, f"left as it is, its journal cannot be read: {error}"
             n_delivered += is_told
-            print(f"{folder.relative_to(outputs)}  {'delivered' if is_told else 'in use, left alone'}", flush=True)
+            print(f"{folder.relative_to(outputs)}  {what}", flush=True)
     return n_delivered
 
 
@@ -36,12 +42,10 @@ def main(arguments: list[str]) -> int:
     if not 1 <= len(arguments) <= 2 or arguments[0].startswith("-"):
         print(__doc__)
         return 0 if arguments in (["-h"], ["--help"]) else 2
-    from mlflow.exceptions import MlflowException
-
     try:
         deliver(Path(arguments[0]), arguments[1] if len(arguments) > 1 else None)
-    except (UserError, MlflowException, OSError) as error:
-        print(str(error).splitlines()[0], file=sys.stderr)
+    except unreachable() as error:
+        print(first_line(error), file=sys.stderr)
         return 1
     return 0
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from PIL import Image
 from pydantic import TypeAdapter
 
-from negopipe.tracking.database import artifact_location, is_served
+from negopipe.tracking.database import artifact_location
 from negopipe.tracking.journal import Journal
 from negopipe.tracking.saved_view import save_comparison
 from negopipe.tracking.whole_file import write_whole
@@ -49,11 +49,13 @@ class Delivery:
 
     outputs: absolute path of the outputs folder
     uri: of the store, None = the one in `outputs`
+    store: the name under which delivered.json keeps how far the store has been told
     """
 
     def __init__(self, folder: Path, journal: Journal, outputs: Path, uri: str | None) -> None:
         self.folder, self.journal, self.outputs, self.uri = folder, journal, outputs, uri
-        self.done = _read(folder).get(uri or _OWN_STORE, Delivered())
+        self.store = uri or _OWN_STORE
+        self.done = _read(folder).get(self.store, Delivered())
         self._is_checked = False
 
     @property
@@ -144,9 +146,8 @@ class Delivery:
     def _experiment(self, client: "MlflowClient", name: str) -> str:
         from mlflow.exceptions import MlflowException
 
-        location = None if is_served(self.uri) else artifact_location(self.outputs)  # a server has its own
         try:
-            return client.create_experiment(name, location)
+            return client.create_experiment(name, artifact_location(self.outputs, self.uri))
         except MlflowException as error:
             found = client.get_experiment_by_name(name)
             if error.error_code != "RESOURCE_ALREADY_EXISTS" or found is None:
@@ -235,7 +236,7 @@ class Delivery:
         client.create_model_version(name, f"models:/{model_id}", run_id=self._run_id, model_id=model_id)
 
     def _write_down(self) -> None:
-        stores = {**_read(self.folder), self.uri or _OWN_STORE: self.done}
+        stores = {**_read(self.folder), self.store: self.done}
         content = {store: asdict(done) for store, done in stores.items()}
         write_whole(self.folder / DELIVERED_NAME, (json.dumps(content, indent=2) + "\n").encode())
 

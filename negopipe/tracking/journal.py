@@ -8,6 +8,19 @@ from pathlib import Path
 from typing import Any
 
 JOURNAL_NAME = "journal.jsonl"
+_TAIL = 400
+"""Bytes: more than an entry `end` has."""
+
+
+def has_ended(path: Path) -> bool:
+    """The last whole line of a journal is the entry `end`.
+
+    It reads the last bytes and changes nothing, so that it is cheap, and may be asked of a run that is being worked on.
+    """
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL))
+        lines = file.read().split(b"\n")[:-1]  # behind the last line break is nothing, or a line that is not whole
+    return bool(lines) and lines[-1].startswith(b'{"kind": "end"')
 
 
 class Journal:

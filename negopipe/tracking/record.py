@@ -2,6 +2,7 @@
 
 import json
 import logging
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -10,6 +11,10 @@ from pydantic import TypeAdapter
 from negopipe.tracking.whole_file import write_whole
 
 RECORD_NAME = "record.json"
+OVERRIDES = "overrides"
+"""Tag and entry of a finished stage: what stands behind `python -m negopipe` in the command, ready for a shell."""
+ONLY_SHOW = ("report", "replay")
+"""Stages that make no results: their command is not the run's."""
 
 log = logging.getLogger("negopipe")
 
@@ -21,7 +26,8 @@ class RunRecord:
     key: the run's own id, the same in every store (`negopipe.tracking.delivery.KEY_TAG`)
     source: hash of the code that worked on it last (`negopipe.identity.source_hash`)
     tags: what the store is told of the run beside its config
-    finished: by stage the hashes `config` (of what it depends on) and `source` (of the code that made it)
+    finished: by stage the hashes `config` (of what it depends on) and `source` (of the code that made it), and the
+        `overrides` of the command that made it
     """
 
     key: str
@@ -34,9 +40,30 @@ class RunRecord:
         made = self.finished.get(stage)
         return made is not None and made["config"] == key and source in (None, made["source"])
 
-    def with_finished(self, stage: str, key: str, source: str) -> "RunRecord":
-        """This record after the stage has come to its end."""
-        return replace(self, finished={**self.finished, stage: {"config": key, "source": source}})
+    def with_finished(self, stage: str, key: str, source: str, overrides: str | None) -> "RunRecord":
+        """This record after the stage has come to its end; overrides: of this command, None = not known."""
+        known = {} if overrides is None else {OVERRIDES: overrides}
+        made = {"config": key, "source": source, **known}
+        tags = self.tags if stage in ONLY_SHOW else {**self.tags, **known}
+        return replace(self, finished={**self.finished, stage: made}, tags=tags)
+
+    def with_tags(self, tags: Mapping[str, str]) -> "RunRecord":
+        """This record with a later command's tags; results that are there keep the command that made them."""
+        kept = {OVERRIDES: self.tags[OVERRIDES]} if self._results() and OVERRIDES in self.tags else {}
+        return replace(self, tags={**self.tags, **tags, **kept})
+
+    def commands(self) -> list[str]:
+        """Overrides of the commands that made the results, in their order and each once; none where not recorded."""
+        made = [part[OVERRIDES] for part in self._results().values() if OVERRIDES in part]
+        return list(dict.fromkeys(made)) or [text for tag, text in self.tags.items() if tag == OVERRIDES]
+
+    def _results(self) -> dict[str, dict[str, str]]:
+        return {stage: made for stage, made in self.finished.items() if stage not in ONLY_SHOW}
+
+
+def as_command(overrides: str) -> str:
+    """The command with these overrides, to paste into a shell."""
+    return f"python -m negopipe {overrides}".rstrip()
 
 
 def read_record(folder: Path) -> RunRecord | None:

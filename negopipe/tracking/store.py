@@ -6,6 +6,7 @@ stops nobody and misses nothing.
 
 import logging
 import os
+import shlex
 import time
 import uuid
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -17,16 +18,23 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pandas as pd
 import yaml
 
-from negopipe.errors import UserError
-from negopipe.schema import Label, PositiveFloat, PositiveInt, schema
+from negopipe.schema import Address, Label, PositiveFloat, PositiveInt, schema
 from negopipe.tracking.dashboard import chart_address
-from negopipe.tracking.database import connect, database_path, store_lock
-from negopipe.tracking.dead_runs import close_dead_runs, process_tags
+from negopipe.tracking.database import (
+    connect,
+    database_path,
+    first_line,
+    follow_move,
+    sqlite_file,
+    store_lock,
+    unreachable,
+)
+from negopipe.tracking.dead_runs import close_dead_runs, lock_id, process_tags
 from negopipe.tracking.delivery import Delivery
 from negopipe.tracking.journal import Journal
 from negopipe.tracking.metrics_file import merge_into
 from negopipe.tracking.names import clean_name, cleaned, flatten
-from negopipe.tracking.record import RunRecord, read_record, write_record
+from negopipe.tracking.record import OVERRIDES, RunRecord, as_command, read_record, write_record
 from negopipe.tracking.run_folder import CHECKPOINTS_NAME, CONFIG_NAME, METRICS_NAME, TABLES_NAME, hold, keep, set_aside
 from negopipe.tracking.whole_file import write_whole
 
@@ -45,7 +53,7 @@ answer costs a training 5 % of its time at most."""
 class TrackingConfig:
     """Where and how runs are recorded; `conf/tracking/mlflow.yaml` says what each value means."""
 
-    uri: str | None
+    uri: Address | None
     experiment: Label
     registered_model: Label | None
     n_metrics_per_flush: PositiveInt
@@ -85,12 +93,15 @@ def open_run(
 
     A run that is not gone on with is kept beside, as `<run_name>.old1` and so on. What has begun ends as FINISHED, as
     FAILED on an exception, and as KILLED when the process is told to stop.
-    Raises UserError if another process holds the folder.
+    Raises UserError if another process holds the folder, and, before anything is made, where there can be no such
+    store.
     """
-    outputs = Path(config.outputs).absolute()
+    outputs, uri = Path(config.outputs).absolute(), config.tracking.uri
     folder = outputs / config.name / run_name
     accepted = None if takes_any_code else source
+    sqlite_file(outputs, uri)
     with store_lock(outputs):  # folders change hands only here, so looking for dead runs disturbs nobody
+        follow_move(outputs, uri)
         lock = hold(folder)
         record = None if is_fresh else _continued(read_record(folder), accepted)
         if record is None and set_aside(folder, lock):
@@ -99,7 +110,8 @@ def open_run(
         if record is None:
             record = RunRecord(uuid.uuid4().hex, source)
             write_record(folder, record)
-        run = TrackedRun(config, folder, replace(record, source=source, tags=dict(tags or {})), resolved, accepted)
+        record, overrides = replace(record.with_tags(tags or {}), source=source), (tags or {}).get(OVERRIDES)
+        run = TrackedRun(config, folder, record, resolved, accepted, overrides)
         with _final_status(run):
             yield run
     finally:
@@ -111,7 +123,9 @@ def find_store(config: StoreConfig) -> "MlflowClient | None":
     outputs, uri = Path(config.outputs), config.tracking.uri
     if uri is None and not database_path(outputs).exists():
         return None
+    sqlite_file(outputs, uri)
     with store_lock(outputs):
+        follow_move(outputs, uri)
         return connect(outputs, uri)
 
 
@@ -120,13 +134,20 @@ class TrackedRun:
 
     folder: absolute path, created
     accepted: hash of the code whose finished stages count; None = any
+    overrides: of the command of this process; None = not known
     has_begun: this process has something to tell the store
     """
 
     def __init__(
-        self, config: StoreConfig, folder: Path, record: RunRecord, resolved: dict[str, Any], accepted: str | None
+        self,
+        config: StoreConfig,
+        folder: Path,
+        record: RunRecord,
+        resolved: dict[str, Any],
+        accepted: str | None,
+        overrides: str | None = None,
     ) -> None:
-        self.folder, self.accepted = folder, accepted
+        self.folder, self.accepted, self.overrides = folder, accepted, overrides
         self._tracking, self._record, self._resolved = config.tracking, record, resolved
         self._outputs = Path(config.outputs).absolute()
         self._journal = Journal(folder)
@@ -149,6 +170,12 @@ class TrackedRun:
         has_view = any(entry["kind"] == "view" for _, entry in self._journal.after(0))
         return chart_address(experiment_id, self._tracking.uri, has_view=has_view) if experiment_id else None
 
+    @property
+    def commands(self) -> list[str]:
+        """The commands that made what is in the folder, to paste: of the results, then of this process."""
+        own = [] if self.overrides is None else [self.overrides]
+        return [as_command(overrides) for overrides in dict.fromkeys([*self._record.commands(), *own])]
+
     def begin(self) -> None:
         """From now on the run is RUNNING in the store. UserError where it can be no store, or a damaged one."""
         if self.has_begun:
@@ -160,7 +187,9 @@ class TrackedRun:
         write_record(self.folder, self._record)
         tags = {**self._record.tags, **process_tags(self.folder)}
         experiment, key = self._tracking.experiment, self._record.key
-        self._journal.append("begin", experiment=experiment, run_name=self.folder.name, key=key, tags=cleaned(tags))
+        about: dict[str, Any] = {"run_name": self.folder.name, "key": key, "tags": cleaned(tags)}
+        about |= {"store": self._delivery.store, "lock": lock_id(self.folder)}  # for who asks whether it is dead
+        self._journal.append("begin", None, experiment=experiment, **about)
         self.has_begun = True
         self._log_config()
         self.deliver()
@@ -183,8 +212,11 @@ class TrackedRun:
         source: hash of the code that made it, if not of this process
         """
         self.sync()
-        self._record = self._record.with_finished(stage, key, source or self._record.source)
+        before = self._record.tags
+        self._record = self._record.with_finished(stage, key, source or self._record.source, self.overrides)
         write_record(self.folder, self._record)
+        if self._record.tags != before:
+            self.set_tags(self._record.tags)
 
     def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
         """Scalars of one step; sent in batches, in the order of the calls.
@@ -276,7 +308,7 @@ class TrackedRun:
             return
         try:
             self._delivery.deliver(self._client or self._connect())
-        except _unreachable() as error:
+        except unreachable() as error:
             self._next_try_s = time.monotonic() + _PAUSE_PER_TRY * (time.monotonic() - started_s)
             self._say_out_of_reach(error)
         else:
@@ -294,7 +326,8 @@ class TrackedRun:
             self._next_try_s = 0.0
             self.deliver()
         if not self._delivery.is_complete:
-            later = f"the same command sends it, or python -m negopipe.tracking.deliver {self._outputs}"
+            deliver = f"python -m negopipe.tracking.deliver {shlex.quote(str(self._outputs))}"
+            later = f"the same command sends it, or {deliver}"
             log.warning(f"store      has not been given all of {self.folder.name}: {later}")
 
     def _connect(self) -> "MlflowClient":
@@ -302,14 +335,14 @@ class TrackedRun:
             client = connect(self._outputs, self._tracking.uri)
             try:
                 close_dead_runs(client, self._delivery)
-            except _unreachable() as error:
+            except unreachable() as error:
                 self._say_out_of_reach(error)
         self._client = client
         return client
 
     def _say_out_of_reach(self, error: Exception) -> None:
         if not self._is_out_of_reach:
-            reason = str(error).splitlines()[0][:200]
+            reason = first_line(error)
             log.warning(f"store      is out of reach, what it is to be told waits in {self._journal.path}: {reason}")
         self._is_out_of_reach = True
 
@@ -357,11 +390,3 @@ def _earlier_metrics(journal: Journal) -> tuple[dict[str, int], tuple[int, int]]
             last |= dict.fromkeys(entry["values"], entry["step"])
             latest = (entry["step"], entry["time_ms"])
     return last, latest
-
-
-def _unreachable() -> tuple[type[Exception], ...]:
-    """What is raised where a store or its server is gone for a while."""
-    from mlflow.exceptions import MlflowException
-    from sqlalchemy.exc import SQLAlchemyError
-
-    return MlflowException, SQLAlchemyError, OSError, UserError

@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-N_KILLS = int(os.environ.get("NEGOPIPE_KILLS", "20"))
+N_KILLS = int(os.environ.get("NEGOPIPE_KILLS") or "20")
 LONGEST_S = 20.0
 TRAIN = (
     "+experiment=smoke",

@@ -125,6 +125,34 @@ def test_sampler_direction_and_storage_act(tmp_path: Path) -> None:
     assert (tmp_path / "elsewhere.db").exists()
 
 
+@pytest.mark.parametrize("name", ["a?b", "c#d%20e", "ä -o"])
+def test_a_study_lies_in_a_folder_of_any_name(tmp_path: Path, name: str) -> None:
+    needs_optuna()
+    from optuna.distributions import FloatDistribution
+
+    from negopipe.sweeping.study import open_study
+
+    for n_known in (0, 1):
+        with open_study(tmp_path / name, "s", None, "maximize", {}) as study:
+            assert sum(study.counts().values()) == n_known
+            for number in study.next_trials({"a": FloatDistribution(0, 1)}, ("random", 1), n_trials=1, n_most=1):
+                study.finish(number, 1.0)
+    assert [path.name for path in tmp_path.iterdir()] == [name], "nothing is made beside it"
+    assert (tmp_path / name / "optuna.db").is_file()
+
+
+def test_a_study_that_no_database_can_hold_is_one_line_and_makes_nothing(tmp_path: Path) -> None:
+    needs_optuna()
+    from negopipe.sweeping.study import open_study
+
+    too_long = tmp_path / "/".join(["x" * 99] * 6)
+    wrong = {None: "outputs must lead to a database file", "sqlite:///a?b": "hydra.sweeper.storage must be sqlite:///"}
+    for storage, line in wrong.items():
+        with pytest.raises(UserError, match=f"^{line}"), open_study(too_long, "s", storage, "maximize", {}):
+            pass
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 def test_trials_are_given_to_the_launcher_together(search: Search, capfd: pytest.CaptureFixture[str]) -> None:
     needs_optuna()

@@ -10,6 +10,7 @@ from swept import KEYS, make_run
 from negopipe.sweeping.parallel_coordinates import parallel_coordinates
 from negopipe.sweeping.summary import main
 from negopipe.sweeping.swept_runs import differing_keys, flat, read_runs, tabulate
+from negopipe.tracking.record import RunRecord, write_record
 
 
 @pytest.fixture
@@ -104,6 +105,30 @@ def test_overrides_that_are_not_recorded_are_made_of_what_differs(
     assert main([str(outputs / "yield")]) == 0
     expected = "  python -m negopipe algorithm.rate=0.7 reward.kind=strict 'reward.list=[1, 2]'\n"
     assert expected in capsys.readouterr().out
+
+
+def test_what_was_run_later_in_the_best_runs_folder_is_not_its_command(
+    outputs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_run(outputs, 1, 0.7, -1.0, finished=[])
+    made = {
+        "train": "stages=[train] seed=1",
+        "evaluate": "stages=[evaluate] seed=1",
+        "replay": "stages=[replay] seed=1",
+    }
+    finished = {stage: {"config": "c", "source": "s", "overrides": text} for stage, text in made.items()}
+    write_record(folder, RunRecord("key", "s", {"overrides": made["replay"]}, finished))
+    assert main([str(outputs / "yield")]) == 0
+    expected = "\n\n  python -m negopipe 'stages=[train]'\n  python -m negopipe 'stages=[evaluate]'\n\n"
+    assert capsys.readouterr().out.endswith(expected)
+
+
+def test_a_command_without_overrides_is_recorded(outputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_run(outputs, 1, 0.7, -1.0, tags={"overrides": ""})
+    assert main([str(outputs / "yield")]) == 0
+    shown = capsys.readouterr().out
+    assert shown.endswith("\n\n  python -m negopipe\n\n")
+    assert "not recorded" not in shown
 
 
 @pytest.mark.parametrize(

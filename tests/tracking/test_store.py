@@ -133,30 +133,6 @@ def test_a_run_that_is_stopped_says_so_and_keeps_its_metrics(
     assert history(config, run, "x") == [(0, 1.0)]
 
 
-def test_runs_of_dead_processes_are_closed_at_the_next_start(config: StoreConfig) -> None:
-    client = client_of(config)
-    with open_run(config, "seed1-f", {}) as alive:
-        tags = dict(record_of(config, alive).data.tags)
-        experiment = record_of(config, alive).info.experiment_id
-
-        def left_behind(**changes: str) -> str:
-            """A record that says RUNNING, as kill -9 leaves it."""
-            return client.create_run(experiment, tags={**tags, **changes}).info.run_id
-
-        dead = left_behind(folder=str(alive.folder.with_name("seed2-f")))
-        (alive.folder.with_name("seed2-f")).mkdir()
-        deleted = left_behind(folder=str(alive.folder.with_name("deleted")))
-        before_us = left_behind(folder=str(alive.folder.with_name("seed3-f")))
-        elsewhere = left_behind(host="another machine", folder=str(alive.folder.with_name("seed2-f")))
-        with open_run(config, "seed3-f", {}) as run:
-            assert record_of(config, run).info.status == "RUNNING"
-        status = {key: client.get_run(key).info.status for key in (dead, deleted, before_us, elsewhere)}
-        assert status == {dead: "KILLED", deleted: "KILLED", before_us: "KILLED", elsewhere: "RUNNING"}
-        assert record_of(config, alive).info.status == "RUNNING"
-    assert record_of(config, alive).info.status == "FINISHED"
-    client.set_terminated(elsewhere)
-
-
 def test_a_run_folder_belongs_to_one_run_at_a_time(config: StoreConfig) -> None:
     in_use = pytest.raises(UserError, match=r"seed1-g is in use by another process: [^\n]+$")
     with open_run(config, "seed1-g", {}), in_use, open_run(config, "seed1-g", {}):
