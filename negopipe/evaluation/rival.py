@@ -28,6 +28,11 @@ class Rival(ABC):
         """Prediction horizons that it may use."""
         return ()
 
+    @property
+    def fixed_horizon_s(self) -> float | None:
+        """The horizon that it keeps to at every decision; None where it keeps to none."""
+        return None
+
     @abstractmethod
     def driver(self, game: Game, chance: Tensor) -> Driver:
         """The driver for a batch of episodes that start together.

@@ -12,7 +12,8 @@ from negopipe.driver import fixed_horizon
 from negopipe.env import Game
 from negopipe.evaluation.behaviour_map import cell, claims, findings
 from negopipe.evaluation.episodes import decide_once, drive_episodes
-from negopipe.evaluation.planners import by_horizon, fixed_name
+from negopipe.evaluation.names import fixed_name
+from negopipe.evaluation.planners import by_horizon
 from negopipe.report.behaviour_map import behaviour_map, reading
 from negopipe.report.figures import render
 from negopipe.seeding import generator

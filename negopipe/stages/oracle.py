@@ -13,8 +13,9 @@ from negopipe.driver import ChooseHorizon, fixed_horizon
 from negopipe.env import Game
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes, running, summary
+from negopipe.evaluation.names import fixed_name
 from negopipe.evaluation.oracle import Rollouts, Sequences, best_simple, improve
-from negopipe.evaluation.planners import by_horizon, fixed_name, sequence_planner
+from negopipe.evaluation.planners import by_horizon, sequence_planner
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.seeding import generator
 from negopipe.simulation.state import EGO, Task, map_tensors

@@ -54,10 +54,10 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     folder = run.folder / FOLDER
     folder.mkdir(exist_ok=True)
     name = "_".join(map(str, which))
-    scene = make_scene(config.scenario, game.simulator.road)
+    scene, fixed_s = make_scene(config.scenario, game.simulator.road), config.evaluation.fixed_horizons_s
     files = {
-        "gif": animation.animate([trace], 0, scene, config.report.animation_fps, insight),
-        "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, insight),
+        "gif": animation.animate([trace], 0, scene, config.report.animation_fps, fixed_s, insight),
+        "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, fixed_s, insight),
     }
     for suffix, data in files.items():
         path = folder / f"{name}.{suffix}"

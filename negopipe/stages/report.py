@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import findings
 from negopipe.evaluation.claims import judge_claims
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.replay import Insight, look_into
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures, outcome_figures
@@ -93,7 +94,8 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     table = _in_order(_read_csv(run.folder / "episodes.csv", "evaluate"), settings)
     planners = list(table["planner"].unique())
     results = Results(*({setting: _pick(metrics[part][setting], planners) for setting in settings} for part in RESULTS))
-    claims = judge_claims(table, [trace for group in traces.values() for trace in group])
+    fixed_s = config.evaluation.fixed_horizons_s
+    claims = judge_claims(table, [trace for group in traces.values() for trace in group], fixed_s)
     write_claims(run, claims)
     drawings = _Gallery(run.folder / "figures", config.report.figure_formats)
     films = _Gallery(run.folder / "animations")
@@ -101,16 +103,18 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     insights = look_into_policy(config, run, traces)
     log.info("report: figures")
     sections = [
-        _planners(drawings, table, _unseen(config)),
-        _negotiations(drawings, traces, road.corridor_sigma_m),
-        _animations(config.report, films, traces, make_scene(config.scenario, road), insights),
-        _behaviour(drawings, traces, config.scenario.road.corridor_length_m, run.folder / MAP_NAME),
+        _planners(drawings, table, _unseen(config), fixed_s),
+        _negotiations(drawings, traces, road.corridor_sigma_m, fixed_s),
+        _animations(config.report, films, traces, make_scene(config.scenario, road), insights, fixed_s),
+        _behaviour(drawings, traces, config.scenario.road.corridor_length_m, run.folder / MAP_NAME, fixed_s),
         _training(drawings, films, run, sorted({gap for gaps in _unseen(config).values() for gap in gaps})),
     ]
-    verdicts = headlines(results.evaluation, results.versus)
+    verdicts = headlines(results.evaluation, results.versus, fixed_s)
     title = f"{config.name}, seed {config.seed}"
     tested = claims if any(claim.verdict != "not tested" for claim in claims) else []
-    page = build_page(title, verdicts, chapters(results), tested, sections, provenance(config.seed, run.folder))
+    page = build_page(
+        title, verdicts, chapters(results, fixed_s), tested, sections, provenance(config.seed, run.folder)
+    )
     (run.folder / "report.html").write_text(page, encoding="utf-8")
     for gallery in (drawings, films):
         if any(gallery.folder.iterdir()):
@@ -138,7 +142,12 @@ def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
     )
 
 
-def _planners(gallery: _Gallery, table: pd.DataFrame, unseen: Mapping[str, Sequence[tuple[float, float]]]) -> Section:
+def _planners(
+    gallery: _Gallery,
+    table: pd.DataFrame,
+    unseen: Mapping[str, Sequence[tuple[float, float]]],
+    fixed_s: FixedHorizons,
+) -> Section:
     """Two settings share a figure at most: three would be too small to read on a phone."""
     settings = list(table["setting"].unique())
     exhibits = []
@@ -146,13 +155,13 @@ def _planners(gallery: _Gallery, table: pd.DataFrame, unseen: Mapping[str, Seque
         title, reading = caption(
             "comparison", settings=" and ".join(setting_label(setting).lower() for setting in pair)
         )
-        drawing = figures.comparison(table[table["setting"].isin(pair)])
+        drawing = figures.comparison(table[table["setting"].isin(pair)], fixed_s)
         exhibits.append(gallery.figure(f"comparison_{'_'.join(pair)}", drawing, title, reading))
-    exhibits.append(gallery.figure("outcomes", outcome_figures.outcomes(table), *caption("outcomes")))
-    exhibits.append(gallery.figure("arrivals", outcome_figures.arrivals(table), *caption("arrivals")))
+    exhibits.append(gallery.figure("outcomes", outcome_figures.outcomes(table, fixed_s), *caption("outcomes")))
+    exhibits.append(gallery.figure("arrivals", outcome_figures.arrivals(table, fixed_s), *caption("arrivals")))
     has_styles = table.groupby("setting")["style_horizon_s"].transform("nunique") > 1
     if has_styles.any():
-        drawing = outcome_figures.success_by_style(table[has_styles])
+        drawing = outcome_figures.success_by_style(table[has_styles], fixed_s)
         exhibits.append(gallery.figure("success_by_style", drawing, *caption("success_by_style")))
     for setting, rows in table[has_styles].groupby("setting", sort=False):
         label, own = setting_label(str(setting)), rows[rows["planner"] == ADAPTIVE]
@@ -168,11 +177,16 @@ def _unseen(config: "RunConfig") -> dict[str, tuple[tuple[float, float], ...]]:
     return {name: tuple((low, high) for low, high in family.gaps_m) for name, family in families.items()}
 
 
-def _negotiations(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_sigma_m: tuple[float, float]) -> Section:
+def _negotiations(
+    gallery: _Gallery,
+    traces: dict[str, list[Trace]],
+    corridor_sigma_m: tuple[float, float],
+    fixed_s: FixedHorizons,
+) -> Section:
     exhibits = []
     for setting, group in traces.items():
         episode = _typical_of_all(group)
-        drawing = figures.space_time(group, episode, corridor_sigma_m)
+        drawing = figures.space_time(group, episode, corridor_sigma_m, fixed_s)
         title, reading = caption("space_time", setting=setting_label(setting))
         exhibits.append(gallery.figure(f"space_time_{setting}", drawing, title, reading))
     return Section("Negotiations", "", exhibits)
@@ -189,6 +203,7 @@ def _animations(
     traces: dict[str, list[Trace]],
     scene: Scene,
     insights: Mapping[str, Mapping[int, Insight]],
+    fixed_s: FixedHorizons,
 ) -> Section:
     """insights: of the policy's episodes that are shown alone, by setting and episode."""
     exhibits = []
@@ -197,10 +212,12 @@ def _animations(
         if report.side_by_side:
             compared = [adaptive, *_named(group, report.side_by_side)]
             name = f"{setting}_side_by_side"
-            exhibits.append(_film(gallery, name, compared, _typical_of_all(group), scene, report.animation_fps))
+            exhibits.append(
+                _film(gallery, name, compared, _typical_of_all(group), scene, report.animation_fps, fixed_s)
+            )
         for name, episode in _shown_alone(report, adaptive).items():
             insight = insights[setting][episode]
-            exhibits.append(_film(gallery, name, [adaptive], episode, scene, report.animation_fps, insight))
+            exhibits.append(_film(gallery, name, [adaptive], episode, scene, report.animation_fps, fixed_s, insight))
     return Section("Watch it", WATCH, exhibits)
 
 
@@ -247,17 +264,18 @@ def _film(
     episode: int,
     scene: Scene,
     fps: int,
+    fixed_s: FixedHorizons,
     insight: Insight | None = None,
 ) -> Exhibit:
     log.info("report: animation %s", name)
     trace = traces[0]
-    gif = animation.animate(traces, episode, scene, fps, insight)
-    still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, insight)
+    gif = animation.animate(traces, episode, scene, fps, fixed_s, insight)
+    still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, fixed_s, insight)
     title, reading = caption(
         "film" if insight is None else "film_alone",
         setting=setting_label(trace.family),
         episode=episode,
-        planners=", ".join(planner_label(shown.planner) for shown in traces),
+        planners=", ".join(planner_label(shown.planner, fixed_s) for shown in traces),
         which="the worst" if name.endswith("_worst") else "a typical one",
         style_s=trace.style_horizon_s[episode, NEAREST],
     )
@@ -265,13 +283,17 @@ def _film(
 
 
 def _behaviour(
-    gallery: _Gallery, traces: dict[str, list[Trace]], corridor_length_m: float, behaviour_map: Path
+    gallery: _Gallery,
+    traces: dict[str, list[Trace]],
+    corridor_length_m: float,
+    behaviour_map: Path,
+    fixed_s: FixedHorizons,
 ) -> Section:
     """With the behaviour map, if its stage has left one."""
     flat = [trace for group in traces.values() for trace in group]
     along = figures.horizons_along(flat, corridor_length_m)
     exhibits = [
-        gallery.figure("behaviour_index", figures.behaviour(flat), *caption("behaviour_index")),
+        gallery.figure("behaviour_index", figures.behaviour(flat, fixed_s), *caption("behaviour_index")),
         gallery.figure("horizons", figures.horizons(flat), *caption("horizons")),
         gallery.figure("horizons_along", along, *caption("horizons_along")),
     ]

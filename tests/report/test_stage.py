@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 import yaml
 from browser import BROWSER, in_browser
+from measured import FIXED_S
 from pydantic import TypeAdapter
 from tracked import RecordedRun
 
@@ -20,6 +21,7 @@ from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.metrics import summary
 from negopipe.evaluation.replay import Insight
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
+from negopipe.report import figures
 from negopipe.report.page import ReportConfig
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
@@ -29,16 +31,17 @@ CONF = Path(__file__).resolve().parents[2] / "conf"
 
 
 class Evaluation:
-    leading_setting = "push"
+    leading_setting, fixed_horizons_s = "push", FIXED_S
 
 
 class Config:
     """Stands for the root config, as far as the stage reads it."""
 
-    name, seed, runs, evaluation = "push", 3, None, Evaluation()
+    name, seed, runs = "push", 3, None
     curriculum = SimpleNamespace(stages=[SimpleNamespace(families={})])
     scenario: ScenarioConfig
     report: ReportConfig
+    evaluation: Any = Evaluation()
 
     def __init__(self, **changed: Any) -> None:
         scenario = yaml.safe_load((CONF / "scenario" / "narrow_lane.yaml").read_text())
@@ -59,14 +62,20 @@ def table(table: pd.DataFrame) -> pd.DataFrame:
 def run(
     tmp_path: Path, traces: list[Trace], table: pd.DataFrame, history: pd.DataFrame, driven: pd.DataFrame
 ) -> RecordedRun:
-    save_traces(tmp_path / "traces.npz", [trace for trace in traces if trace.planner in PLANNERS])
-    table.to_csv(tmp_path / "episodes.csv", index=False)
+    run = RecordedRun(tmp_path)
+    evaluated(run, table, [trace for trace in traces if trace.planner in PLANNERS])
     history.to_csv(tmp_path / "history.csv", index=False)
     driven.to_csv(tmp_path / "training_episodes.csv", index=False)
-    measured = summary(table) | versus_adaptive(table) | regret(table)
-    (tmp_path / "metrics.json").write_text(json.dumps(measured, sort_keys=True))
     (tmp_path / "config.yaml").write_text("name: push\nseed: 3\n")
-    return RecordedRun(tmp_path)
+    return run
+
+
+def evaluated(run: RecordedRun, table: pd.DataFrame, traces: list[Trace]) -> None:
+    """What the stage `evaluate` leaves."""
+    save_traces(run.folder / "traces.npz", traces)
+    table.to_csv(run.folder / "episodes.csv", index=False)
+    measured = summary(table) | versus_adaptive(table) | regret(table)
+    (run.folder / "metrics.json").write_text(json.dumps(measured, sort_keys=True))
 
 
 def seen(traces: dict[str, list[Trace]]) -> dict[str, dict[int, Insight]]:
@@ -124,6 +133,46 @@ def test_a_planner_may_have_driven_the_first_tasks_only(
     shown = {int(text) for text in re.findall(r"episode (\d+): adaptive, fixed", page)}
     assert shown
     assert max(shown) < 3
+
+
+CASES: list[tuple[str, dict[str, tuple[str, float | None]]]] = [
+    ("push", {}),
+    ("push", {"fixed_6": ("fixed_6", 6.0)}),
+    ("elsewhere", {"fixed_0": ("fixed_short", 0.0)}),
+    ("push", {"fixed_0": ("bold", 0.0), "fixed_6": ("cautious", None)}),
+    ("push", {"fixed_0": ("fixed_long", 0.0), "fixed_6": ("fixed_2", 6.0)}),
+]
+"""A setting; which planner is there, what it is called, and the horizon that it keeps to, if any."""
+
+
+@pytest.mark.parametrize(("setting", "planners"), CASES)
+def test_any_planners_of_any_name_make_a_report(
+    run: RecordedRun, traces: list[Trace], table: pd.DataFrame, setting: str, planners: dict
+) -> None:
+    """In one setting of one episode."""
+    (run.folder / "history.csv").unlink()
+    called = {"adaptive": "adaptive"} | {planner: name for planner, (name, _) in planners.items()}
+    own = table[(table["setting"] == "push") & (table["episode"] == 0) & table["planner"].isin(called)]
+    own = own.assign(planner=own["planner"].map(called), setting=setting)
+    evaluated(
+        run,
+        own,
+        [
+            replace(trace.first(1), planner=called[trace.planner], family=setting)
+            for trace in traces
+            if trace.family == "push" and trace.planner in called
+        ],
+    )
+    config = Config(side_by_side=tuple(name for name, _ in planners.values()), animation_fps=1)
+    fixed_s = {name: horizon_s for name, horizon_s in planners.values() if horizon_s is not None}
+    config.evaluation = SimpleNamespace(leading_setting=setting, fixed_horizons_s=fixed_s)
+    report.run(config, run)
+    page = (run.folder / "report.html").read_text()
+    labels = [figures.planner_label(name, fixed_s) for name, _ in planners.values()]
+    assert all(f"{label}</th>" in page for label in labels), labels
+    claims = json.loads((run.folder / "claims.json").read_text())
+    if setting != "push" or not fixed_s:
+        assert {claim["verdict"] for claim in claims} == {"not tested"}
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
