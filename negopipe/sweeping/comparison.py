@@ -122,10 +122,10 @@ def compare(episodes: pd.DataFrame) -> tuple[list[tuple[str, str]], list[Chapter
     episodes: rows of `read_groups`
     """
     verdicts, chapters = [], []
-    names = list(episodes["group"].unique())
     for setting, rows in episodes.groupby("setting", sort=False):
         seeds = {str(name): by_seed(own, None) for name, own in rows.groupby("group", sort=False)}
-        across = {name: _across(own, seeds[names[0]]) for name, own in seeds.items()}
+        first = next(iter(seeds.values()))  # of those that drove this setting
+        across = {name: _across(own, first) for name, own in seeds.items()}
         best = max(across, key=lambda name, across=across: across[name]["reward"])  # type: ignore[misc]
         rewards = {name: own["reward"].to_numpy() for name, own in seeds.items()}
         verdicts.append(_verdict(str(setting), best, across[best], rewards))
