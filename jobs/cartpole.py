@@ -37,6 +37,7 @@ from negopipe.learning.learner import AnyAlgorithmConfig, Learner
 from negopipe.learning.rollout import RunningEpisodes, Transition, collect
 from negopipe.policy.actor_critic import ActorCritic, greedy_action, mlp, sample_action
 from negopipe.seeding import generator
+from negopipe.tracking.csv_file import CsvKind, write_csv
 
 # ACKTR is shown as it stands in conf/ but for smaller batches, as 150,000 steps are few: its steps are measured in nat,
 # which is the same for any network. The Adam rates of conf/ are the paper's, for its grids; a network this small takes
@@ -54,7 +55,18 @@ N_EPISODES = 100
 """That a mean return is taken over."""
 WIDTH = 64
 """Units of the encoder's layer, which both heads share, and of each head's hidden layer."""
-COLUMNS = ("seed", "greedy", "sampled", "training", "steps", "steps_to_450", "seconds")
+TABLE = CsvKind(
+    "jobs/cartpole.py",
+    {
+        "seed": int,
+        "greedy": float,
+        "sampled": float,
+        "training": float,
+        "steps": int,
+        "steps_to_450": float,
+        "seconds": float,
+    },
+)
 
 
 class CartPole:
@@ -132,7 +144,7 @@ def play(policy: ActorCritic, choose: Callable[[Tensor], Tensor], seed: int) -> 
 
 
 def row(config: AnyAlgorithmConfig, n_iterations: int, seed: int) -> dict[str, float]:
-    """One seed's line of the table, keys as in COLUMNS."""
+    """One seed's line of the table, keys as in TABLE."""
     started_s = time.perf_counter()
     policy, episodes = train(config, n_iterations, seed)
     seconds = time.perf_counter() - started_s
@@ -147,7 +159,7 @@ def row(config: AnyAlgorithmConfig, n_iterations: int, seed: int) -> dict[str, f
         math.nan if solved_at.empty else int(solved_at.iloc[0]),
         seconds,
     )
-    return dict(zip(COLUMNS, numbers, strict=True))
+    return dict(zip(TABLE.columns, numbers, strict=True))
 
 
 def seeds(text: str) -> list[int]:
@@ -183,7 +195,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     n_solved = int((table["greedy"] >= SOLVED).sum())
     print(f"{options.algorithm}: {n_solved} of {len(table)} seeds reach {SOLVED:.0f}")
     if options.out is not None:
-        table.to_csv(options.out, index=False)
+        write_csv(options.out, table, TABLE)
     return 0 if n_solved == len(table) else 1
 
 

@@ -20,14 +20,18 @@ from typing import Any
 import pandas as pd
 import yaml
 
+from negopipe.stages.oracle_table import ORACLE_TABLE
+from negopipe.tracking.csv_file import read_csv
+
 HORIZONS_S = (0, 2, 4, 6)
+NEEDED = ("setting", "style_horizon_s", "outcome", *(f"fixed_{h}_outcome" for h in HORIZONS_S))
 FAILS_BELOW, ORACLE_AT_LEAST = 0.5, 0.99
 
 
 def road(folder: Path) -> dict[str, Any]:
     """One row: what varies, and what the fixed horizons and the oracle reach."""
     scenario = yaml.safe_load((folder / "config.yaml").read_text())["scenario"]
-    tasks = pd.read_csv(folder / "oracle.csv")
+    tasks = read_csv(folder / "oracle.csv", ORACLE_TABLE, NEEDED)
     mixture, yield_ = tasks[tasks["setting"] == "mixture"], tasks[tasks["setting"] == "yield"]
     fixed = pd.DataFrame({h: mixture[f"fixed_{h}_outcome"] == "success" for h in HORIZONS_S})
     worst_style = fixed.groupby(mixture["style_horizon_s"]).mean().min()

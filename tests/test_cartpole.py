@@ -145,7 +145,7 @@ def test_a_seed_that_stays_under_450_is_told_by_the_exit_code(tmp_path: Path, ca
     assert cartpole.main([*arguments, "algorithm.n_steps=20"]) == 1
     assert "acktr: 0 of 2 seeds reach 450" in capsys.readouterr().out
     rows = pd.read_csv(table)
-    assert tuple(rows) == cartpole.COLUMNS
+    assert tuple(rows) == tuple(cartpole.TABLE.columns)
     assert rows["seed"].tolist() == [1, 2]
     assert rows["steps"].tolist() == [80, 80]
 

@@ -16,6 +16,7 @@ from negopipe.evaluation.safety import footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.schema import NonNegativeFloat, PositiveInt, schema
 from negopipe.simulation.scenario import VehicleConfig
+from negopipe.tracking.csv_file import CsvKind
 
 
 def _are_different(values: list[float]) -> list[float]:
@@ -23,6 +24,28 @@ def _are_different(values: list[float]) -> list[float]:
         raise ValueError("must name every value once")
     return values
 
+
+BEHAVIOUR_MAP = CsvKind(
+    "the stage `behaviour_map`",
+    {
+        "setting": str,
+        "ego_horizon_s": float,
+        "social_style_s": float,
+        "n_episodes": int,
+        "success_rate": float,
+        "collision_rate": float,
+        "deadlock_rate": float,
+        "other_timeout_rate": float,
+        "ego_time_s": float,
+        "social_time_s": float,
+        "suspend_count": float,
+        "suspend_time_s": float,
+        "ego_passes_first_rate": float,
+        "smallest_gap_m": float,
+        "full_braking_rate": float,
+    },
+)
+"""behaviour_map.csv: a row per `cell`."""
 
 DifferentHorizons = Annotated[list[NonNegativeFloat], Field(min_length=1), AfterValidator(_are_different)]
 

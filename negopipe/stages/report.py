@@ -13,8 +13,9 @@ import torch
 from matplotlib.figure import Figure
 
 from negopipe.errors import UserError
-from negopipe.evaluation.behaviour_map import findings
+from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, findings
 from negopipe.evaluation.claims import judge_claims
+from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.replay import Insight, look_into
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
@@ -40,8 +41,10 @@ from negopipe.simulation.state import EGO, NEAREST, map_tensors
 from negopipe.stages import report_runs
 from negopipe.stages.behaviour_map import MAP_NAME
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
+from negopipe.stages.learning_curve import HISTORY, TRAINING_EPISODES
 from negopipe.stages.provenance import provenance, write_claims
 from negopipe.stages.setup import build, load_policy
+from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
 
 if TYPE_CHECKING:
@@ -52,6 +55,7 @@ log = logging.getLogger("negopipe")
 
 RESULTS = ("evaluation", "versus_adaptive", "regret")
 """Parts of metrics.json that the page shows."""
+DRAWN_OF_TRAINING = ("decisions", "is_success", "is_collision", "social_start_distance_m", "style_horizon_s")
 N_TRAINING_MAPS, SLIDE_S = 10, 0.8
 """Parts that the training is shown in, and how long each is on screen."""
 N_TABLED = 100
@@ -91,7 +95,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     settings = settings_in_order(metrics["evaluation"], config.evaluation.leading_setting)
     shown = [ADAPTIVE, *config.report.side_by_side]
     traces = _by_setting(load_traces(run.folder / "traces.npz"), settings, shown)
-    table = _in_order(_read_csv(run.folder / "episodes.csv", "evaluate"), settings)
+    table = _in_order(read_csv(run.folder / EPISODES_NAME, EPISODES, EPISODES.columns), settings)
     planners = list(table["planner"].unique())
     results = Results(*({setting: _pick(metrics[part][setting], planners) for setting in settings} for part in RESULTS))
     fixed_s = config.evaluation.fixed_horizons_s
@@ -298,7 +302,7 @@ def _behaviour(
         gallery.figure("horizons_along", along, *caption("horizons_along")),
     ]
     if behaviour_map.is_file():
-        table = pd.read_csv(behaviour_map)
+        table = read_csv(behaviour_map, BEHAVIOUR_MAP, BEHAVIOUR_MAP.columns)
         words = caption("behaviour_map", verdict=map_reading(findings(table)))
         exhibits.insert(0, gallery.figure("behaviour_map", map_figure(table), *words))
     return Section("Behaviour", "", exhibits)
@@ -310,10 +314,10 @@ def _training(
     """The store is given the maps, too, each at the step at which its part of the training begins."""
     if not (run.folder / HISTORY_NAME).is_file():
         return Section("Training", NOT_TRAINED, [])
-    table = _read_csv(run.folder / HISTORY_NAME, "train")
+    table = read_csv(run.folder / HISTORY_NAME, HISTORY, ("decisions", "stage"))
     title, reading = caption("training", stages=", ".join(table["stage"].unique()))
     curves = drawings.figure("training", figures.training(table), title, reading)
-    episodes = _read_csv(run.folder / TRAINING_EPISODES_NAME, "train")
+    episodes = read_csv(run.folder / TRAINING_EPISODES_NAME, TRAINING_EPISODES, DRAWN_OF_TRAINING)
     if episodes.empty:
         return Section("Training", "", [curves])
     maps, folder = [], drawings.folder / "training_outcomes"
@@ -350,13 +354,7 @@ def _log_tables(run: "TrackedRun", metrics: Mapping[str, Any], episodes: pd.Data
     ]
     run.log_table("planners", pd.DataFrame(measures))
     first = episodes[episodes["episode"] < N_TABLED]
-    run.log_table("episodes", first.drop(columns=["horizons"], errors="ignore"))
-
-
-def _read_csv(path: Path, stage: str) -> pd.DataFrame:
-    if not path.is_file():
-        raise UserError(f"{path}: no such file; run the stage `{stage}` first")
-    return pd.read_csv(path)
+    run.log_table("episodes", first.drop(columns="horizons"))
 
 
 def _in_order(table: pd.DataFrame, settings: list[str]) -> pd.DataFrame:

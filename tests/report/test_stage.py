@@ -17,7 +17,9 @@ from pydantic import TypeAdapter
 from tracked import RecordedRun
 
 from negopipe.errors import UserError
+from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP
 from negopipe.evaluation.comparison import regret, versus_adaptive
+from negopipe.evaluation.episodes_file import EPISODES
 from negopipe.evaluation.metrics import summary
 from negopipe.evaluation.replay import Insight
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
@@ -138,9 +140,9 @@ def test_a_planner_may_have_driven_the_first_tasks_only(
 CASES: list[tuple[str, dict[str, tuple[str, float | None]]]] = [
     ("push", {}),
     ("push", {"fixed_6": ("fixed_6", 6.0)}),
-    ("elsewhere", {"fixed_0": ("fixed_short", 0.0)}),
-    ("push", {"fixed_0": ("bold", 0.0), "fixed_6": ("cautious", None)}),
-    ("push", {"fixed_0": ("fixed_long", 0.0), "fixed_6": ("fixed_2", 6.0)}),
+    ("None", {"fixed_0": ("fixed_short", 0.0)}),
+    ("12", {"fixed_0": ("nan", 0.0), "fixed_6": ("NA", None)}),
+    ("push", {"fixed_0": ("12", 0.0), "fixed_6": ("fixed_2", 6.0)}),
 ]
 """A setting; which planner is there, what it is called, and the horizon that it keeps to, if any."""
 
@@ -200,9 +202,10 @@ def test_what_is_shown_depends_on_what_there_is(run: RecordedRun, table: pd.Data
     varied = table.assign(style_horizon_s=table["episode"].mod(2) * 6.0)
     varied.to_csv(run.folder / "episodes.csv", index=False)
     (run.folder / "history.csv").unlink()
+    unseen = dict.fromkeys(BEHAVIOUR_MAP.columns, 0) | {"setting": "push", "n_episodes": 1}
     cells = [
-        {"setting": "push", "ego_horizon_s": horizon, "social_style_s": 0.0, "success_rate": 1.0, "collision_rate": 0.0}
-        | {"deadlock_rate": 0.0, "other_timeout_rate": 0.0, "ego_passes_first_rate": 1.0, "smallest_gap_m": horizon}
+        unseen
+        | {"ego_horizon_s": horizon, "success_rate": 1.0, "ego_passes_first_rate": 1.0, "smallest_gap_m": horizon}
         for horizon in (0.0, 6.0)
     ]
     pd.DataFrame(cells).to_csv(run.folder / "behaviour_map.csv", index=False)
@@ -213,6 +216,25 @@ def test_what_is_shown_depends_on_what_there_is(run: RecordedRun, table: pd.Data
     assert "Coming closer: holds in 1 of 1 (push against 0 s)" in page
     assert "was not trained in this run" in page
     assert "Learning curves" not in page
+
+
+def test_the_kind_of_the_file_knows_all_that_is_measured(table: pd.DataFrame) -> None:
+    assert list(EPISODES.columns) == list(table.columns)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "line"),
+    [
+        ("episodes.csv", "planner,setting\nadaptive,push\n", "must have a column episode as the stage `evaluate`"),
+        ("history.csv", "decisions,stage\nmany,full\n", "column decisions, row 1: must hold whole numbers, got many"),
+        ("training_episodes.csv", "", "must be a table as the stage `train` writes it, got an empty file"),
+        ("behaviour_map.csv", "setting\npush\n", "must have a column ego_horizon_s as the stage `behaviour_map`"),
+    ],
+)
+def test_a_damaged_file_is_named(run: RecordedRun, name: str, text: str, line: str) -> None:
+    (run.folder / name).write_text(text)
+    with pytest.raises(UserError, match=re.escape(f"{run.folder / name}: {line}")):
+        report.run(Config(), run)
 
 
 @pytest.mark.parametrize("name", ["metrics.json", "episodes.csv", "traces.npz"])
