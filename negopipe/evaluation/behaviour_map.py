@@ -1,6 +1,7 @@
 """What a pair of horizons, the ego's and the social driver's, leads to; and claim 8 put to the test with it.
 
-Claim 8: a shorter prediction horizon gives more aggressive driving: passing first more often, and closer.
+The claim: a shorter prediction horizon gives more aggressive driving, passing first more often, and closer
+(docs/reading.md, "claim 8").
 """
 
 from collections.abc import Sequence

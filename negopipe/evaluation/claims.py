@@ -1,4 +1,4 @@
-"""The paper's claims, put to the test on evaluated episodes (Reading: claims of the paper).
+"""The paper's claims, put to the test on evaluated episodes (docs/reading.md, "Claims of the paper").
 
 What the paper compares is the policy and the fixed horizons, so the other planners do not count here; which planners
 are fixed horizons is known from their configs. `push` and `yield` are the paper's two settings, by their names in
@@ -63,7 +63,7 @@ class Finding:
 class Claim:
     """One claim and what became of it.
 
-    number: in the list of reading.md
+    number: as in docs/reading.md, "Claims of the paper"
     words: the paper's
     rule: when it holds
     findings: what was measured; the claim holds if all hold of which it wants something

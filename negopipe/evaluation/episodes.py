@@ -18,7 +18,7 @@ from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, where_world
 
 DEADLOCK_S = 5.0
-"""Time at rest, nose to nose, that makes a timeout a deadlock (Reading: deadlock)."""
+"""Time at rest, nose to nose, that makes a timeout a deadlock (docs/reading.md, "deadlock")."""
 
 
 @schema
