@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -79,7 +80,7 @@ class CartPole:
 
     def __init__(self, n_worlds: int, seed: int) -> None:
         self.n_worlds = n_worlds
-        self.envs = gymnasium.make_vec("CartPole-v1", num_envs=n_worlds, vectorization_mode="vector_entry_point")
+        self.envs: Any = gymnasium.make_vec("CartPole-v1", num_envs=n_worlds, vectorization_mode="vector_entry_point")
         self._observation, _ = self.envs.reset(seed=seed)
 
     def observe(self) -> Tensor:

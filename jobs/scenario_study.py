@@ -13,6 +13,7 @@ No trained policy is looked at. Also said for each road: whether the paper's cla
 fixed horizon arrives in time although some sequence of horizons does.
 """
 
+import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -52,8 +53,14 @@ def road(folder: Path) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    folders = sorted(path.parent for path in Path(sys.argv[1]).glob("*/oracle.csv"))
+def main(study: Path) -> int:
+    """Print the table and the pick; 0, or 1 after a line that says what is wrong."""
+    folders = sorted(path.parent for path in study.glob("*/oracle.csv"))
+    if not folders:
+        print(
+            f"the folder must hold runs of +experiment=scenario_study with an oracle.csv, got {study}", file=sys.stderr
+        )
+        return 1
     table = pd.DataFrame([road(folder) for folder in folders])
     table = table.sort_values(["best_fixed", "mean_fixed", "corridor_m", "swerve_m"], ignore_index=True)
     print(table.to_string(float_format=lambda x: f"{x:.3g}"))
@@ -65,7 +72,10 @@ def main() -> None:
         print(f"\npick, one of {n_tied} in which the best fixed horizon does worst:", qualified.iloc[0].to_dict())
     paper = table[(table["yield_best_fixed"] == 0) & (table["yield_oracle"] > 0)]
     print(f"roads on which no fixed horizon arrives in yield while a sequence does: {len(paper)} of {len(table)}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("study", type=Path, help="outputs/scenario_study: the folder that holds the runs")
+    sys.exit(main(parser.parse_args().study))

@@ -1,6 +1,5 @@
 """jobs/cartpole.py: its carts move as gymnasium's do, episode after episode, and ACKTR masters them, seed by seed."""
 
-import importlib.util
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scripts import load_script
 from torch import Generator, Tensor
 
 from negopipe.learning.rollout import RunningEpisodes, collect
@@ -19,16 +19,7 @@ START_MAX = 0.05
 """Largest absolute value of what is seen of a new cart."""
 
 
-def _script() -> Any:
-    spec = importlib.util.spec_from_file_location("cartpole", Path(__file__).parents[1] / "jobs" / "cartpole.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-cartpole = _script()
+cartpole = load_script("cartpole")
 
 
 def balance(observation: Tensor) -> Tensor:
