@@ -97,7 +97,7 @@ def planner_label(planner: str, fixed_s: FixedHorizons) -> str:
 
 def setting_label(setting: str) -> str:
     """`mixture_switching` -> `Mixture switching`."""
-    return setting.replace("_", " ").capitalize()
+    return setting[:1].upper() + setting[1:].replace("_", " ")
 
 
 @styled
