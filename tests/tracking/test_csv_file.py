@@ -39,6 +39,12 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
     assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "table.csv").read_bytes()
 
 
+def test_others_may_read_a_table_as_any_other_file(tmp_path: Path) -> None:
+    write_csv(tmp_path / "table.csv", table(), KIND)
+    (tmp_path / "other").touch()
+    assert (tmp_path / "table.csv").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
 def test_a_table_without_rows_keeps_its_types(tmp_path: Path) -> None:
     write_csv(tmp_path / "table.csv", table().head(0), KIND)
     found = read_csv(tmp_path / "table.csv", KIND)
