@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -37,6 +38,7 @@ from negopipe.learning.learner import AnyAlgorithmConfig, Learner
 from negopipe.learning.rollout import RunningEpisodes, Transition, collect
 from negopipe.policy.actor_critic import ActorCritic, greedy_action, mlp, sample_action
 from negopipe.seeding import generator
+from negopipe.tracking.csv_file import CsvKind, write_csv
 
 # ACKTR is shown as it stands in conf/ but for smaller batches, as 150,000 steps are few: its steps are measured in nat,
 # which is the same for any network. The Adam rates of conf/ are the paper's, for its grids; a network this small takes
@@ -54,7 +56,18 @@ N_EPISODES = 100
 """That a mean return is taken over."""
 WIDTH = 64
 """Units of the encoder's layer, which both heads share, and of each head's hidden layer."""
-COLUMNS = ("seed", "greedy", "sampled", "training", "steps", "steps_to_450", "seconds")
+TABLE = CsvKind(
+    "jobs/cartpole.py",
+    {
+        "seed": int,
+        "greedy": float,
+        "sampled": float,
+        "training": float,
+        "steps": int,
+        "steps_to_450": float,
+        "seconds": float,
+    },
+)
 
 
 class CartPole:
@@ -67,7 +80,7 @@ class CartPole:
 
     def __init__(self, n_worlds: int, seed: int) -> None:
         self.n_worlds = n_worlds
-        self.envs = gymnasium.make_vec("CartPole-v1", num_envs=n_worlds, vectorization_mode="vector_entry_point")
+        self.envs: Any = gymnasium.make_vec("CartPole-v1", num_envs=n_worlds, vectorization_mode="vector_entry_point")
         self._observation, _ = self.envs.reset(seed=seed)
 
     def observe(self) -> Tensor:
@@ -132,7 +145,7 @@ def play(policy: ActorCritic, choose: Callable[[Tensor], Tensor], seed: int) -> 
 
 
 def row(config: AnyAlgorithmConfig, n_iterations: int, seed: int) -> dict[str, float]:
-    """One seed's line of the table, keys as in COLUMNS."""
+    """One seed's line of the table, keys as in TABLE."""
     started_s = time.perf_counter()
     policy, episodes = train(config, n_iterations, seed)
     seconds = time.perf_counter() - started_s
@@ -147,7 +160,7 @@ def row(config: AnyAlgorithmConfig, n_iterations: int, seed: int) -> dict[str, f
         math.nan if solved_at.empty else int(solved_at.iloc[0]),
         seconds,
     )
-    return dict(zip(COLUMNS, numbers, strict=True))
+    return dict(zip(TABLE.columns, numbers, strict=True))
 
 
 def seeds(text: str) -> list[int]:
@@ -183,7 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     n_solved = int((table["greedy"] >= SOLVED).sum())
     print(f"{options.algorithm}: {n_solved} of {len(table)} seeds reach {SOLVED:.0f}")
     if options.out is not None:
-        table.to_csv(options.out, index=False)
+        write_csv(options.out, table, TABLE)
     return 0 if n_solved == len(table) else 1
 
 

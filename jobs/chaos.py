@@ -66,7 +66,8 @@ def sweep(outputs: Path, seeds: list[int], n_parallel: int, fates: dict[int, flo
     Returns how they ended, and the mean seconds of a job that was not killed.
     """
     outputs.mkdir(parents=True, exist_ok=True)
-    waiting, running, took, ends = list(seeds), {}, [], Counter()
+    waiting, running, took = list(seeds), dict[int, tuple[int, float]](), list[float]()
+    ends: Counter[str] = Counter()
     while waiting or running:
         while waiting and len(running) < n_parallel:
             seed = waiting.pop(0)

@@ -19,7 +19,8 @@ from negopipe.evaluation.oracle import Rollouts
 from negopipe.gym_env import compose_config
 from negopipe.simulation.state import Task, map_tensors
 from negopipe.stages.backend import keep_freed_memory
-from negopipe.stages.evaluate import held_out_tasks, read_oracle
+from negopipe.stages.evaluate import held_out_tasks
+from negopipe.stages.oracle_table import read_oracle
 
 
 def returns_of(rollouts: Rollouts, tasks: Task, actions: torch.Tensor) -> np.ndarray:
@@ -42,27 +43,28 @@ def first_grids(game: Game, tasks: Task) -> np.ndarray:
     return np.unique(grids, axis=0, return_inverse=True)[1]
 
 
-def main(path: Path) -> None:
+def main(path: Path, is_compiled: bool) -> None:
     torch.set_num_threads(1)
-    table = read_oracle(path)
+    table = read_oracle(str(path)).rows
     config = compose_config([f"evaluation.n_episodes={table['episode'].max() + 1}"])
     keep_freed_memory()
-    game = build_game(config, is_compiled=has_compiler())
+    game = build_game(config, is_compiled=is_compiled)
     rollouts = Rollouts(game, config.policy.horizons_s, config.evaluation.reward)
     horizons_s = list(config.policy.horizons_s)
     for setting, rows in table.groupby("setting", sort=False):
-        tasks = held_out_tasks(config, game, str(setting))
+        n_tasks = len(rows)
+        tasks = map_tensors(lambda field, n=n_tasks: field[:n], held_out_tasks(config, game, str(setting)))
         returns = returns_of(rollouts, tasks, actions_of(rows["horizons"], horizons_s, rollouts.n_steps))
         group, best = first_grids(game, tasks), rows["reward"].mean()
         groups = [returns[group == number] for number in np.unique(group)]
-        per_group = sum(each.sum(0).max() for each in groups) / len(rows)
+        per_group = sum(each.sum(0).max() for each in groups) / n_tasks
         print(
             f"{setting:18} oracle {best:.2f}; regret of one sequence for each of {len(groups)} first grids "
-            f"{best - per_group:.2f}, of one for all {len(rows)} tasks {best - returns.mean(0).max():.2f}"
+            f"{best - per_group:.2f}, of one for all {n_tasks} tasks {best - returns.mean(0).max():.2f}"
         )
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("oracle", type=Path, help="oracle.csv of +experiment=oracle")
-    main(parser.parse_args().oracle)
+    main(parser.parse_args().oracle, is_compiled=has_compiler())

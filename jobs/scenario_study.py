@@ -13,6 +13,7 @@ No trained policy is looked at. Also said for each road: whether the paper's cla
 fixed horizon arrives in time although some sequence of horizons does.
 """
 
+import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,14 +21,18 @@ from typing import Any
 import pandas as pd
 import yaml
 
+from negopipe.stages.oracle_table import ORACLE_TABLE
+from negopipe.tracking.csv_file import read_csv
+
 HORIZONS_S = (0, 2, 4, 6)
+NEEDED = ("setting", "style_horizon_s", "outcome", *(f"fixed_{h}_outcome" for h in HORIZONS_S))
 FAILS_BELOW, ORACLE_AT_LEAST = 0.5, 0.99
 
 
 def road(folder: Path) -> dict[str, Any]:
     """One row: what varies, and what the fixed horizons and the oracle reach."""
     scenario = yaml.safe_load((folder / "config.yaml").read_text())["scenario"]
-    tasks = pd.read_csv(folder / "oracle.csv")
+    tasks = read_csv(folder / "oracle.csv", ORACLE_TABLE, NEEDED)
     mixture, yield_ = tasks[tasks["setting"] == "mixture"], tasks[tasks["setting"] == "yield"]
     fixed = pd.DataFrame({h: mixture[f"fixed_{h}_outcome"] == "success" for h in HORIZONS_S})
     worst_style = fixed.groupby(mixture["style_horizon_s"]).mean().min()
@@ -48,8 +53,14 @@ def road(folder: Path) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    folders = sorted(path.parent for path in Path(sys.argv[1]).glob("*/oracle.csv"))
+def main(study: Path) -> int:
+    """Print the table and the pick; 0, or 1 after a line that says what is wrong."""
+    folders = sorted(path.parent for path in study.glob("*/oracle.csv"))
+    if not folders:
+        print(
+            f"the folder must hold runs of +experiment=scenario_study with an oracle.csv, got {study}", file=sys.stderr
+        )
+        return 1
     table = pd.DataFrame([road(folder) for folder in folders])
     table = table.sort_values(["best_fixed", "mean_fixed", "corridor_m", "swerve_m"], ignore_index=True)
     print(table.to_string(float_format=lambda x: f"{x:.3g}"))
@@ -61,7 +72,10 @@ def main() -> None:
         print(f"\npick, one of {n_tied} in which the best fixed horizon does worst:", qualified.iloc[0].to_dict())
     paper = table[(table["yield_best_fixed"] == 0) & (table["yield_oracle"] > 0)]
     print(f"roads on which no fixed horizon arrives in yield while a sequence does: {len(paper)} of {len(table)}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("study", type=Path, help="outputs/scenario_study: the folder that holds the runs")
+    sys.exit(main(parser.parse_args().study))

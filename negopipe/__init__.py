@@ -16,8 +16,8 @@ The map, from the bottom up (a part imports only what stands above it here):
     evaluation/   drives held-out tasks: planners, rivals (whom the policy is compared with), episodes, trace, replay;
                   metrics, safety; statistics over tasks and seeds, comparison, claims of the paper
     report/       figures, animation, headlines, tables, page
-    tracking/     what a run tells a store: journal -> delivery -> MLflow; checkpoints, snapshots,
-                  the policies that come with negopipe
+    tracking/     what a run tells a store: journal -> delivery -> MLflow; checkpoints, snapshots, tables as files
+                  (csv_file), the policies that come with negopipe
     stages/       train, evaluate, report, replay, behaviour_map, oracle, benchmark: each a function of config and run;
                   what is stopped goes on from its last snapshot
     config        RunConfig, the root schema   identity   which results are the same

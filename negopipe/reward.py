@@ -10,7 +10,7 @@ from negopipe.schema import Real, schema
 class RewardConfig:
     """Reward per event; `conf/reward/` has both of the paper's readings.
 
-    step: every decision, the last one too (Reading: -0.25 per step)
+    step: every decision, the last one too (docs/reading.md, "reward")
     collision: once, when a collision ends the episode
     success: once, when all vehicles have reached their targets
     """

@@ -1,6 +1,5 @@
 """jobs/cartpole.py: its carts move as gymnasium's do, episode after episode, and ACKTR masters them, seed by seed."""
 
-import importlib.util
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scripts import load_script
 from torch import Generator, Tensor
 
 from negopipe.learning.rollout import RunningEpisodes, collect
@@ -19,16 +19,7 @@ START_MAX = 0.05
 """Largest absolute value of what is seen of a new cart."""
 
 
-def _script() -> Any:
-    spec = importlib.util.spec_from_file_location("cartpole", Path(__file__).parents[1] / "jobs" / "cartpole.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-cartpole = _script()
+cartpole = load_script("cartpole")
 
 
 def balance(observation: Tensor) -> Tensor:
@@ -145,7 +136,7 @@ def test_a_seed_that_stays_under_450_is_told_by_the_exit_code(tmp_path: Path, ca
     assert cartpole.main([*arguments, "algorithm.n_steps=20"]) == 1
     assert "acktr: 0 of 2 seeds reach 450" in capsys.readouterr().out
     rows = pd.read_csv(table)
-    assert tuple(rows) == cartpole.COLUMNS
+    assert tuple(rows) == tuple(cartpole.TABLE.columns)
     assert rows["seed"].tolist() == [1, 2]
     assert rows["steps"].tolist() == [80, 80]
 

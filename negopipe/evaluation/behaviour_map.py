@@ -1,6 +1,7 @@
 """What a pair of horizons, the ego's and the social driver's, leads to; and claim 8 put to the test with it.
 
-Claim 8: a shorter prediction horizon gives more aggressive driving: passing first more often, and closer.
+The claim: a shorter prediction horizon gives more aggressive driving, passing first more often, and closer
+(docs/reading.md, "claim 8").
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,30 @@ from negopipe.evaluation.safety import footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.schema import Distinct, NonNegativeFloat, PositiveInt, schema
 from negopipe.simulation.scenario import VehicleConfig
+from negopipe.tracking.csv_file import CsvKind
+
+BEHAVIOUR_MAP = CsvKind(
+    "the stage `behaviour_map`",
+    {
+        "setting": str,
+        "ego_horizon_s": float,
+        "social_style_s": float,
+        "n_episodes": int,
+        "success_rate": float,
+        "collision_rate": float,
+        "deadlock_rate": float,
+        "other_timeout_rate": float,
+        "social_collision_rate": float,
+        "ego_time_s": float,
+        "social_time_s": float,
+        "suspend_count": float,
+        "suspend_time_s": float,
+        "ego_passes_first_rate": float,
+        "smallest_gap_m": float,
+        "full_braking_rate": float,
+    },
+)
+"""behaviour_map.csv: a row per `cell`."""
 
 DifferentHorizons = Annotated[list[NonNegativeFloat], Field(min_length=1), Distinct]
 

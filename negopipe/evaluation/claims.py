@@ -1,18 +1,22 @@
-"""The paper's claims, put to the test on evaluated episodes (Reading: claims of the paper).
+"""The paper's claims, put to the test on evaluated episodes (docs/reading.md, "Claims of the paper").
 
-What the paper compares is the policy and the fixed horizons, so the other planners do not count here. A claim about
-which planner is best holds if none of the others is better: for each of them the interval of the difference on the
-same tasks excludes that. Where an interval leaves it open, the claim is undecided.
+What the paper compares is the policy and the fixed horizons, so the other planners do not count here; which planners
+are fixed horizons is known from their configs. `push` and `yield` are the paper's two settings, by their names in
+`conf`. A claim about which planner is best holds if none of the others is better: for each of them the interval of
+the difference on the same tasks excludes that. Where an interval leaves it open, the claim is undecided. Where a
+setting was not driven or there is nothing to compare, it is not tested.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import groupby, pairwise, product
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from negopipe.evaluation.metrics import behaviour_index
+from negopipe.evaluation.names import FixedHorizons, in_words
 from negopipe.evaluation.statistics import (
     Estimate,
     difference_of_means,
@@ -59,7 +63,7 @@ class Finding:
 class Claim:
     """One claim and what became of it.
 
-    number: in the list of reading.md
+    number: as in docs/reading.md, "Claims of the paper"
     words: the paper's
     rule: when it holds
     findings: what was measured; the claim holds if all hold of which it wants something
@@ -92,12 +96,17 @@ class Claim:
         return plain
 
 
+Want = Callable[..., Finding]
+"""What a claim wants of a figure: `_more` or `_less`."""
+
+
 class _Evidence:
     """The episodes that the paper's claims are about, and comparisons of them."""
 
-    def __init__(self, table: pd.DataFrame, traces: Sequence[Trace]) -> None:
+    def __init__(self, table: pd.DataFrame, traces: Sequence[Trace], fixed_s: FixedHorizons) -> None:
         self.rng = np.random.default_rng(RANDOM_SEED)
-        self.fixed = sorted({name for name in table["planner"] if name.startswith("fixed_")}, key=_horizon)
+        self.fixed_s = {name: fixed_s[name] for name in table["planner"].unique() if name in fixed_s}
+        self.fixed = sorted(self.fixed_s, key=self.fixed_s.__getitem__)
         self.psi = {trace.family: behaviour_index(trace) for trace in traces if trace.planner == ADAPTIVE}
         compared = table[table["planner"].isin([ADAPTIVE, *self.fixed])]
         by_task = compared.groupby(["setting", "episode"])["planner"]
@@ -105,7 +114,12 @@ class _Evidence:
         self._table = compared[is_driven_by_all].assign(is_first=compared["passes_first"] == "ego")
 
     def has(self, *settings: str) -> bool:
-        return bool(self.fixed) and all(setting in self.psi for setting in settings)
+        """The policy and at least one fixed horizon drove the same tasks in all these settings."""
+        driven = set(self._table["setting"])
+        return bool(self.fixed) and all(setting in self.psi and setting in driven for setting in settings)
+
+    def label(self, planner: str) -> str:
+        return in_words(planner, self.fixed_s)
 
     def measured(self, measure: str, *settings: str) -> pd.DataFrame:
         """A row per task of the settings, a column per planner; NaN where a planner has no such figure."""
@@ -129,14 +143,29 @@ class _Evidence:
             if len(both := values[[ADAPTIVE, planner]].dropna())
         }
 
+    def each(
+        self, want: Want, text: str, estimates: Mapping[str, Estimate], unit: tuple[float, str], **wanted: Any
+    ) -> list[Finding]:
+        """The same figure of several planners; `text` has {} for their names."""
+        return [want(text.format(self.label(planner)), e, unit, **wanted) for planner, e in estimates.items()]
 
-def judge_claims(table: pd.DataFrame, traces: Sequence[Trace]) -> list[Claim]:
+    def shorter_and_longer(self) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+        """Pairs of fixed horizons: the shortest with the longest, and each with the next longer one. Empty where all
+        are equal."""
+        levels = [list(names) for _, names in groupby(self.fixed, self.fixed_s.__getitem__)]
+        steps = [pair for level, longer in pairwise(levels) for pair in product(level, longer)]
+        ends = list(product(levels[0], levels[-1])) if len(levels) > 1 else []
+        return ends, steps
+
+
+def judge_claims(table: pd.DataFrame, traces: Sequence[Trace], fixed_s: FixedHorizons) -> list[Claim]:
     """All ten claims.
 
     table: rows of `metrics.episodes` with the columns of `safety`, of all planners and settings
     traces: of the policy, for the behaviour index
+    fixed_s: which of the planners are fixed horizons
     """
-    evidence = _Evidence(table, traces)
+    evidence = _Evidence(table, traces, fixed_s)
     return [_test(evidence, number, *claim) for number, claim in enumerate(_CLAIMS, start=1)]
 
 
@@ -169,17 +198,17 @@ def _test(
 
 def _push_is_completed(evidence: _Evidence) -> list[Finding]:
     share, slower = evidence.succeeds("push"), evidence.ahead("driving_time_s", "push")
-    completed = _each(_more, "success of {}", share, PERCENT, than=COMPLETES)
-    return completed + _each(_less, "time less that of {}", slower, SECONDS)
+    completed = evidence.each(_more, "success of {}", share, PERCENT, than=COMPLETES)
+    return completed + evidence.each(_less, "time less that of {}", slower, SECONDS)
 
 
 def _push_suspends_least(evidence: _Evidence) -> list[Finding]:
-    return _each(_less, "suspensions less those of {}", evidence.ahead("suspend_count", "push"), PLAIN)
+    return evidence.each(_less, "suspensions less those of {}", evidence.ahead("suspend_count", "push"), PLAIN)
 
 
 def _rewarded_most(setting: str) -> Callable[[_Evidence], list[Finding]]:
     def test(evidence: _Evidence) -> list[Finding]:
-        return _each(_more, "reward less that of {}", evidence.ahead("reward", setting), PLAIN)
+        return evidence.each(_more, "reward less that of {}", evidence.ahead("reward", setting), PLAIN)
 
     return test
 
@@ -187,8 +216,8 @@ def _rewarded_most(setting: str) -> Callable[[_Evidence], list[Finding]]:
 def _only_the_policy_yields(evidence: _Evidence) -> list[Finding]:
     share = evidence.succeeds("yield")
     own, others = {ADAPTIVE: share[ADAPTIVE]}, {planner: share[planner] for planner in evidence.fixed}
-    arrives = _each(_more, "success of {}", own, PERCENT, than=COMPLETES)
-    return arrives + _each(_less, "success of {}", others, PERCENT, than=1 - COMPLETES, strictly=True)
+    arrives = evidence.each(_more, "success of {}", own, PERCENT, than=COMPLETES)
+    return arrives + evidence.each(_less, "success of {}", others, PERCENT, than=1 - COMPLETES, strictly=True)
 
 
 def _yield_suspends_between(evidence: _Evidence) -> list[Finding]:
@@ -196,7 +225,7 @@ def _yield_suspends_between(evidence: _Evidence) -> list[Finding]:
     more = difference_of_means(in_yield, in_push, evidence.rng)
     less = evidence.ahead("suspend_count", "yield")
     findings = [_more("suspensions in yield less those in push", more, PLAIN, strictly=True)]
-    return findings + _each(_less, "in yield, suspensions less those of {}", less, PLAIN)
+    return findings + evidence.each(_less, "in yield, suspensions less those of {}", less, PLAIN)
 
 
 def _behaviour_fits(evidence: _Evidence) -> list[Finding]:
@@ -216,10 +245,11 @@ def _behaviour_fits(evidence: _Evidence) -> list[Finding]:
 def _shorter_is_bolder(evidence: _Evidence) -> list[Finding]:
     first = evidence.measured("is_first", "push", "yield")
     gap = evidence.measured("smallest_gap_m", "push", "yield")
-    ends = (evidence.fixed[0], evidence.fixed[-1])
+    ends, steps = evidence.shorter_and_longer()
     more, closer = [], []
-    for shorter, longer in [*zip(evidence.fixed, evidence.fixed[1:], strict=False), ends]:
-        pair, strictly = f"{_label(shorter)} against {_label(longer)}", (shorter, longer) == ends
+    for shorter, longer in dict.fromkeys([*steps, *ends]):
+        pair = f"{evidence.label(shorter)} against {evidence.label(longer)}"
+        strictly = (shorter, longer) in ends
         often = mean_difference(first[shorter].to_numpy(), first[longer].to_numpy(), evidence.rng)
         more.append(_more(f"passes first more often, {pair}", often, PERCENT, strictly=strictly))
         kept = gap[[shorter, longer]].dropna()
@@ -234,7 +264,7 @@ def _spreads_least(evidence: _Evidence) -> list[Finding]:
         planner: spread_difference(reward[planner].to_numpy(), reward[ADAPTIVE].to_numpy(), evidence.rng)
         for planner in evidence.fixed
     }
-    return _each(_more, "spread (std) of the reward of {}, less the policy's", wider, PLAIN)
+    return evidence.each(_more, "spread (std) of the reward of {}, less the policy's", wider, PLAIN)
 
 
 def _more(text: str, e: Estimate, unit: tuple[float, str], than: float = 0.0, strictly: bool = False) -> Finding:
@@ -259,13 +289,6 @@ def _judged(finding: Finding, is_shown: bool, is_refuted: bool, margin: float) -
     return replace(finding, verdict=verdict, margin=margin)
 
 
-def _each(
-    want: Callable[..., Finding], text: str, estimates: Mapping[str, Estimate], unit: tuple[float, str], **wanted: Any
-) -> list[Finding]:
-    """The same figure of several planners; `text` has {} for their names."""
-    return [want(text.format(_label(planner)), e, unit, **wanted) for planner, e in estimates.items()]
-
-
 def _finding(text: str, e: Estimate, unit: tuple[float, str]) -> Finding:
     """A figure of which nothing is wanted."""
     scale, name = unit
@@ -275,14 +298,6 @@ def _finding(text: str, e: Estimate, unit: tuple[float, str]) -> Finding:
 def _first(is_so: np.ndarray) -> np.ndarray:
     """[T, E] -> [E], the first index that is true, the last one where none is."""
     return np.where(is_so.any(0), is_so.argmax(0), len(is_so) - 1)
-
-
-def _horizon(planner: str) -> float:
-    return float(planner.removeprefix("fixed_"))
-
-
-def _label(planner: str) -> str:
-    return planner.replace("_", " ") + (" s" if planner != ADAPTIVE else "")
 
 
 _NONE_BETTER = "for no fixed horizon does the 95 % interval of the difference on the same tasks show it to be better"

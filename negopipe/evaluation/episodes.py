@@ -9,6 +9,7 @@ from torch import Tensor
 
 from negopipe.driver import Driver, HorizonDriver, MakeDriver, drive_together, own_style
 from negopipe.env import Game
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.rivals import RivalConfig
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
 from negopipe.reward import RewardConfig, reward
@@ -17,7 +18,7 @@ from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, tree_where
 
 DEADLOCK_S = 5.0
-"""Time at rest, nose to nose, that makes a timeout a deadlock (Reading: deadlock)."""
+"""Time at rest, nose to nose, that makes a timeout a deadlock (docs/reading.md, "deadlock")."""
 
 
 @schema
@@ -34,6 +35,12 @@ class EvaluationConfig:
     oracle: PathText | None
     action: Literal["most_probable", "sample"]
     reward: RewardConfig
+
+    @property
+    def fixed_horizons_s(self) -> FixedHorizons:
+        """Those of the rivals that keep to one."""
+        fixed = {name: rival.fixed_horizon_s for name, rival in self.rivals.items()}
+        return {name: horizon_s for name, horizon_s in fixed.items() if horizon_s is not None}
 
 
 def drive_episodes(

@@ -1,6 +1,6 @@
 """What is measured on evaluated episodes: one table row each, the summary of a table, and Eq. 7.
 
-Reading: "suspend number", "driving time", "deadlock" and "psi (Eq. 7)" are defined there.
+The terms are those of docs/reading.md, "suspend number", "driving time", "deadlock" and "psi (Eq. 7)".
 """
 
 from typing import Any

@@ -18,11 +18,6 @@ BATCH = 64
 """Grids that the network is shown at once, always so many: with another number its last bits may be others."""
 
 
-def fixed_name(horizon_s: float) -> str:
-    """Name of a fixed horizon in tables and files, e.g. `fixed_2`."""
-    return f"fixed_{horizon_s:g}"
-
-
 def by_horizon(game: Game, choose_horizon: ChooseHorizon) -> MakeDriver:
     """The game's planner with the horizons of `choose_horizon`, the same driver for all episodes."""
     return lambda chance: HorizonDriver(choose_horizon, game.plan)

@@ -33,6 +33,11 @@ class Rival(ABC):
         """Its times that are counted in control steps, by the name of the field."""
         return {}
 
+    @property
+    def fixed_horizon_s(self) -> float | None:
+        """The horizon that it keeps to at every decision; None where it keeps to none."""
+        return None
+
     @abstractmethod
     def driver(self, game: Game, chance: Tensor) -> Driver:
         """The driver for a batch of episodes that start together.

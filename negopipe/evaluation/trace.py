@@ -37,7 +37,7 @@ class Trace:
     progress_m: [T+1, E, V] float32, s along the vehicle's own route, 0 at the mouth
     horizon_s: [T, E, V] float32, prediction horizon used in the decision; NaN for drivers without one
     is_full_braking: [T, E, V] bool, no feasible plan existed
-    reward: [T, E] float32, reward of Eq. 3 ("paper" reading) per decision, 0 after the end
+    reward: [T, E] float32, reward of Eq. 3 (docs/reading.md, "reward") per decision, 0 after the end
     n_steps: [E] int64, decisions until the episode ended
     reached_step: [E, V] int64, first step index at which the vehicle had reached its target, -1 = never
     outcome: [E] int64, index into OUTCOMES

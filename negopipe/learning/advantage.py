@@ -49,7 +49,7 @@ def k_step_return(rollout: Rollout, gamma: float, k: int) -> Tensor:
 
     R^k_t = sum_{i<k} gamma^i r_{t+i} + gamma^k V(s_{t+k}), cut short where the rollout or the episode ends:
     the rollout's end bootstraps with V of the last state, a truncation with V of the episode's final state,
-    a termination with nothing. (Reading: the value stands once, outside the sum of Eq. 6.)
+    a termination with nothing. The value stands once, outside the sum of Eq. 6 (docs/reading.md, "advantage").
 
     Computed by k sweeps of R^n_t = r_t + gamma R^{n-1}_{t+1}, from R^0 = V.
     """

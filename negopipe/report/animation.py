@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from PIL import Image
 
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.replay import Insight
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.report.figures import (
@@ -89,7 +90,14 @@ def worst_episode(trace: Trace) -> int:
 
 
 @styled
-def animate(traces: Sequence[Trace], episode: int, scene: Scene, fps: int, insight: Insight | None = None) -> bytes:
+def animate(
+    traces: Sequence[Trace],
+    episode: int,
+    scene: Scene,
+    fps: int,
+    fixed_s: FixedHorizons,
+    insight: Insight | None = None,
+) -> bytes:
     """The episode under every planner of `traces`, one panel each, as a looping GIF in real time.
 
     insight: of the first of them. fps is rounded so that a frame lasts whole hundredths of a second, the unit of GIF.
@@ -97,7 +105,7 @@ def animate(traces: Sequence[Trace], episode: int, scene: Scene, fps: int, insig
     frame_s = round(100 / fps) / 100
     duration_s = max(trace.n_steps[episode] * trace.dt_s for trace in traces)
     n_frames = int(np.ceil(duration_s / frame_s)) + 1
-    film = _Film(traces, episode, scene, insight)
+    film = _Film(traces, episode, scene, fixed_s, insight)
     frames = [film.draw(frame * frame_s) for frame in range(n_frames)]
     palette = _palette([frames[0], frames[n_frames // 2], frames[-1]], _horizons(traces, episode))
     flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
@@ -108,10 +116,17 @@ def animate(traces: Sequence[Trace], episode: int, scene: Scene, fps: int, insig
 
 
 @styled
-def still(traces: Sequence[Trace], episode: int, scene: Scene, time_s: float, insight: Insight | None = None) -> bytes:
+def still(
+    traces: Sequence[Trace],
+    episode: int,
+    scene: Scene,
+    time_s: float,
+    fixed_s: FixedHorizons,
+    insight: Insight | None = None,
+) -> bytes:
     """One frame of the same picture as PNG; after an episode's end its last state stays."""
     buffer = BytesIO()
-    _Film(traces, episode, scene, insight).draw(time_s).save(buffer, "PNG")
+    _Film(traces, episode, scene, fixed_s, insight).draw(time_s).save(buffer, "PNG")
     return buffer.getvalue()
 
 
@@ -145,7 +160,14 @@ def _palette(frames: Sequence[Image.Image], horizons_s: np.ndarray) -> Image.Ima
 class _Film:
     """Draws frames: what stands still once, what moves on top of it."""
 
-    def __init__(self, traces: Sequence[Trace], episode: int, scene: Scene, insight: Insight | None = None) -> None:
+    def __init__(
+        self,
+        traces: Sequence[Trace],
+        episode: int,
+        scene: Scene,
+        fixed_s: FixedHorizons,
+        insight: Insight | None = None,
+    ) -> None:
         left_m, right_m, low_m, high_m = _view([trace.position_m[0, episode] for trace in traces], scene)
         road_px = round(WIDTH_PX * (high_m - low_m) / (right_m - left_m))
         below_px = 0 if insight is None else INSIGHT_PX
@@ -160,7 +182,7 @@ class _Film:
             axis.set(xlim=(left_m, right_m), ylim=(low_m, high_m))
             axis.axis("off")
             _draw_scene(axis, scene)
-            self.panels.append(_Panel(axis, trace, episode, scene))
+            self.panels.append(_Panel(axis, trace, episode, scene, fixed_s))
         if insight is not None:
             self.thoughts.append(_Thoughts(self.figure, insight, traces[0].dt_s))
         self.clock = self.figure.text(0.012, 1 - 5 / height_px, "", va="top", fontsize=12, animated=True)
@@ -181,17 +203,17 @@ class _Film:
 class _Panel:
     """The moving parts of one planner's episode."""
 
-    def __init__(self, axis: Axes, trace: Trace, episode: int, scene: Scene) -> None:
+    def __init__(self, axis: Axes, trace: Trace, episode: int, scene: Scene, fixed_s: FixedHorizons) -> None:
         self.axis, self.trace, self.episode, self.scene = axis, trace, episode, scene
         self.yaw_rad = np.unwrap(trace.yaw_rad[:, episode], axis=0)
         n_vehicles = self.yaw_rad.shape[1]
-        colors = [planner_colors([trace.planner])[trace.planner], *[SOCIAL] * (n_vehicles - 1)]
+        colors = [*planner_colors([trace.planner], fixed_s).values(), *[SOCIAL] * (n_vehicles - 1)]
         self.ribbons = [_polygon(axis, QUIET, alpha=RIBBON_ALPHA) for _ in colors[1:]]
         self.bodies = [_polygon(axis, color) for color in colors]
         self.windscreens = [_polygon(axis, "white") for _ in colors]
         (self.crash,) = axis.plot([0], [0], "X", color=OUTCOME_COLORS["collision"], markersize=15, mec="white")
         above_road: Any = {"transform": axis.transAxes, "va": "bottom", "clip_on": False}
-        label = planner_label(trace.planner)
+        label = planner_label(trace.planner, fixed_s)
         self.title = axis.text(0.012, 1.03, label, fontsize=12, fontweight="bold", **above_road)
         self.horizon = axis.text(0.19, 1.03, "", fontsize=12, **above_road)
         self.status = axis.text(0.988, 1.03, "", fontsize=12, ha="right", **above_road)

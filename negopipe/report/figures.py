@@ -8,7 +8,7 @@ common colour vision deficiencies (smallest CIE76 difference 27).
 
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from io import BytesIO
 from typing import Any
 
@@ -24,6 +24,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from negopipe.evaluation.metrics import behaviour_index, running
+from negopipe.evaluation.names import FixedHorizons, in_words
 from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES, Trace
 from negopipe.simulation.state import EGO
 
@@ -45,8 +46,6 @@ OUTCOME_COLORS = {
 }
 INK, QUIET, CORRIDOR = "#222222", "#8A8A8A", "#EFEBE2"
 LONGEST_HORIZON_S = 6.0
-FIXED = re.compile(r"fixed_(\d+(?:\.\d+)?)")
-"""Name of a planner with one horizon, in s."""
 HORIZON_COLORMAP = LinearSegmentedColormap.from_list("horizon", ["#E09000", "#D64550", "#9A4FBF", "#1B1B4B"])
 
 WIDTH_IN = 4.4
@@ -85,21 +84,21 @@ def horizon_color(horizon_s: float) -> str:
     return to_hex(HORIZON_COLORMAP(min(horizon_s / LONGEST_HORIZON_S, 1.0)))
 
 
-def planner_colors(planners: Sequence[str]) -> dict[str, str]:
+def planner_colors(planners: Sequence[str], fixed_s: FixedHorizons) -> dict[str, str]:
     """Colour of each planner, as hex, the same whoever is beside it; of one that is not known here, quiet ones in
     their order.
     """
     known = {ADAPTIVE: ADAPTIVE_COLOR, **RIVAL_COLORS}
-    known |= {name: horizon_color(float(fixed[1])) for name in planners if (fixed := FIXED.fullmatch(name))}
+    known |= {name: horizon_color(horizon_s) for name, horizon_s in fixed_s.items()}
     others = dict.fromkeys(name for name in planners if name not in known)
     free = [color for name, color in RIVAL_COLORS.items() if name not in planners] or [QUIET]
     known |= {name: free[i % len(free)] for i, name in enumerate(others)}
     return {name: known[name] for name in planners}
 
 
-def planner_label(planner: str) -> str:
-    """`fixed_2` -> `fixed 2 s` (which breaks before the 2 only), other names without underscores."""
-    return planner.replace("_", " ") + ("\N{NO-BREAK SPACE}s" if FIXED.fullmatch(planner) else "")
+def planner_label(planner: str, fixed_s: FixedHorizons) -> str:
+    """The name in words; no line breaks between a horizon and its unit."""
+    return re.sub(r"(?<=\d) s\b", "\N{NO-BREAK SPACE}s", in_words(planner, fixed_s))
 
 
 def outcome_label(outcome: str) -> str:
@@ -115,11 +114,11 @@ def outcome_legend(figure: Figure, outcomes: Collection[str]) -> None:
 
 def setting_label(setting: str) -> str:
     """`mixture_switching` -> `Mixture switching`."""
-    return setting.replace("_", " ").capitalize()
+    return setting[:1].upper() + setting[1:].replace("_", " ")
 
 
 @styled
-def comparison(table: pd.DataFrame) -> Figure:
+def comparison(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
     """The paper's bars: arrivals, driving time, suspensions, time at rest and reward of every planner.
 
     Boxes hold the middle half of the episodes, whiskers reach from the 10th to the 90th percentile, the line
@@ -135,32 +134,32 @@ def comparison(table: pd.DataFrame) -> Figure:
     size = (WIDTH_IN, 1.0 + (0.35 + 0.16 * len(planners)) * 5)
     figure = Figure(size, layout="constrained")
     axes = figure.subplots(5, len(settings), sharex="row", sharey=True, squeeze=False)
+    colors = planner_colors(planners, fixed_s)
     for column, setting in enumerate(settings):
         rows = table[table["setting"] == setting]
         by_planner = [rows[rows["planner"] == planner] for planner in planners]
-        _arrival_bars(axes[0, column], by_planner, planners)
+        _arrival_bars(axes[0, column], by_planner, list(colors.values()))
         for axis, (measure, label) in zip(axes[1:, column], measures.items(), strict=True):
-            _boxes(axis, [part[measure].dropna().to_numpy() for part in by_planner], planners)
+            _boxes(axis, [part[measure].dropna().to_numpy() for part in by_planner], list(colors.values()))
             axis.set_xlabel(label)
         axes[0, column].set_title(setting_label(setting))
-    axes[0, 0].set_yticks(range(len(planners)), [planner_label(planner) for planner in planners])
+    axes[0, 0].set_yticks(range(len(planners)), [planner_label(planner, fixed_s) for planner in planners])
     axes[0, 0].set_ylim(len(planners) - 0.5, -0.5)
     return figure
 
 
-def _arrival_bars(axis: Axes, by_planner: list[pd.DataFrame], planners: list[str]) -> None:
+def _arrival_bars(axis: Axes, by_planner: list[pd.DataFrame], colors: list[str]) -> None:
     share = [100 * part["driving_time_s"].notna().mean() for part in by_planner]
-    colors = planner_colors(planners)
-    axis.barh(range(len(planners)), share, height=0.62, color=[colors[name] for name in planners])
+    axis.barh(range(len(colors)), share, height=0.62, color=colors)
     axis.set_xlim(0, 100)
     axis.set_xlabel("ego arrived [% of episodes]")
     _row_numbers(axis, [f"{value:.0f}" for value in share])
 
 
-def _boxes(axis: Axes, samples: list[np.ndarray], planners: list[str]) -> None:
+def _boxes(axis: Axes, samples: list[np.ndarray], colors: list[str]) -> None:
     boxes = axis.boxplot(
         samples,
-        positions=range(len(planners)),
+        positions=range(len(colors)),
         orientation="horizontal",
         widths=0.62,
         whis=(10, 90),
@@ -173,10 +172,9 @@ def _boxes(axis: Axes, samples: list[np.ndarray], planners: list[str]) -> None:
         whiskerprops={"color": QUIET},
         meanprops={"marker": "o", "markeredgecolor": "white", "markersize": 5.5},
     )
-    colors = planner_colors(planners)
-    for patch, mean, planner in zip(boxes["boxes"], boxes["means"], planners, strict=True):
-        patch.set(facecolor=colors[planner], edgecolor=colors[planner], alpha=0.55)
-        mean.set_markerfacecolor(colors[planner])
+    for patch, mean, color in zip(boxes["boxes"], boxes["means"], colors, strict=True):
+        patch.set(facecolor=color, edgecolor=color, alpha=0.55)
+        mean.set_markerfacecolor(color)
     axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10], integer=True))
     _row_numbers(axis, [f"{sample.mean():.1f}" if len(sample) else "none" for sample in samples])
 
@@ -191,7 +189,7 @@ def _row_numbers(axis: Axes, texts: list[str]) -> None:
 
 
 @styled
-def behaviour(traces: Sequence[Trace]) -> Figure:
+def behaviour(traces: Sequence[Trace], fixed_s: FixedHorizons) -> Figure:
     """The behaviour index of Eq. 7 over time: adaptive as median and 10-90 % band, others as medians.
 
     A curve ends where fewer than a quarter of the planner's episodes still run.
@@ -199,7 +197,7 @@ def behaviour(traces: Sequence[Trace]) -> Figure:
     settings = _families(traces)
     figure = Figure((WIDTH_IN, 0.6 + 1.9 * len(settings)), layout="constrained")
     axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
-    colors = planner_colors([trace.planner for trace in traces])
+    colors = planner_colors([trace.planner for trace in traces], fixed_s)
     for axis, setting in zip(axes, settings, strict=True):
         for trace in (trace for trace in traces if trace.family == setting):
             _behaviour_curve(axis, trace, colors[trace.planner])
@@ -210,7 +208,7 @@ def behaviour(traces: Sequence[Trace]) -> Figure:
             axis.text(1.01, y, text, transform=axis.transAxes, va="center", rotation=270, fontsize=8)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(left=0)
-    _planner_legend(figure, list(colors))
+    _planner_legend(figure, colors, fixed_s)
     return figure
 
 
@@ -281,7 +279,9 @@ def _decided(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
 
 
 @styled
-def space_time(traces: Sequence[Trace], episode: int, corridor_sigma_m: tuple[float, float]) -> Figure:
+def space_time(
+    traces: Sequence[Trace], episode: int, corridor_sigma_m: tuple[float, float], fixed_s: FixedHorizons
+) -> Figure:
     """One episode under every planner: where both vehicles are along the road's reference line over time.
 
     traces: of one family; the ego's line has the colour of the prediction horizon of that decision
@@ -295,7 +295,7 @@ def space_time(traces: Sequence[Trace], episode: int, corridor_sigma_m: tuple[fl
         axis.axhspan(*corridor_sigma_m, color=CORRIDOR, zorder=0)
         _space_time_lines(axis, trace, episode, half_m)
         outcome = outcome_label(OUTCOMES[trace.outcome[episode]])
-        axis.set_title(f"{planner_label(trace.planner)}: {outcome}")
+        axis.set_title(f"{planner_label(trace.planner, fixed_s)}: {outcome}")
         axis.set(xlim=(0, 1.03 * duration_s), ylim=(-road_end_m, road_end_m))
     for axis in axes[::2]:
         axis.set_ylabel("along the road [m]")
@@ -394,10 +394,10 @@ def _families(traces: Sequence[Trace]) -> list[str]:
     return list(dict.fromkeys(trace.family for trace in traces))
 
 
-def _planner_legend(figure: Figure, planners: list[str]) -> None:
+def _planner_legend(figure: Figure, colors: Mapping[str, str], fixed_s: FixedHorizons) -> None:
     handles = [
-        Line2D([], [], color=color, linewidth=2.2 if name == ADAPTIVE else 1.2, label=planner_label(name))
-        for name, color in planner_colors(planners).items()
+        Line2D([], [], color=color, linewidth=2.2 if name == ADAPTIVE else 1.2, label=planner_label(name, fixed_s))
+        for name, color in colors.items()
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
 

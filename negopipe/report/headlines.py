@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE
 from negopipe.report.figures import planner_label, setting_label
 
@@ -15,18 +16,20 @@ Versus = Mapping[str, Difference]
 
 
 def headlines(
-    evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[str, Mapping[str, Versus]]
+    evaluation: Mapping[str, Mapping[str, Measures]],
+    versus: Mapping[str, Mapping[str, Versus]],
+    fixed_s: FixedHorizons,
 ) -> list[tuple[str, str]]:
     """Verdict and figures behind it: over all settings, if there are several, then setting by setting.
 
     evaluation: setting -> planner -> measures, the first setting first
     versus: setting -> planner other than the policy -> differences to it
     """
-    by_setting = [headline(setting, measures, versus[setting]) for setting, measures in evaluation.items()]
+    by_setting = [headline(setting, measures, versus[setting], fixed_s) for setting, measures in evaluation.items()]
     rivals = _rivals(evaluation)
     if len(evaluation) < 2 or not rivals:
         return by_setting
-    return [_overall(evaluation, versus, rivals), *by_setting]
+    return [_overall(evaluation, versus, rivals, fixed_s), *by_setting]
 
 
 def standing(evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[str, Mapping[str, Versus]]) -> str:
@@ -75,13 +78,16 @@ def _best(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[str
 
 
 def _overall(
-    evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[str, Mapping[str, Versus]], rivals: Sequence[str]
+    evaluation: Mapping[str, Mapping[str, Measures]],
+    versus: Mapping[str, Mapping[str, Versus]],
+    rivals: Sequence[str],
+    fixed_s: FixedHorizons,
 ) -> tuple[str, str]:
     """Who gets through whatever comes."""
     best = _best(evaluation, rivals)
     weakest = {planner: _weakest(evaluation, planner) for planner in (ADAPTIVE, best)}
     figures = (
-        f"{planner_label(planner)} succeeds in {100 * measures['success_rate']:.1f} % of the episodes of "
+        f"{planner_label(planner, fixed_s)} succeeds in {100 * measures['success_rate']:.1f} % of the episodes of "
         f"{setting_label(setting).lower()}"
         for planner, (setting, measures) in weakest.items()
     )
@@ -91,20 +97,23 @@ def _overall(
     )
     verdict = (
         f"Over all settings the adaptive planner succeeds {RELIABILITY[standing(evaluation, versus)]} "
-        f"{planner_label(best)}, the best of the others."
+        f"{planner_label(best, fixed_s)}, the best of the others."
     )
     return verdict, f"Where each is weakest, {'; '.join(figures)}. Reward: {rewards}."
 
 
-def headline(setting: str, measures: Mapping[str, Measures], versus: Mapping[str, Versus]) -> tuple[str, str]:
+def headline(
+    setting: str, measures: Mapping[str, Measures], versus: Mapping[str, Versus], fixed_s: FixedHorizons
+) -> tuple[str, str]:
     """The adaptive planner set against the best of the others, by success rate, then by reward."""
     rivals = _rivals({setting: measures})
     if not rivals:
         return f"{setting_label(setting)}: {_achievement(ADAPTIVE, measures[ADAPTIVE])}.", ""
     best = max(rivals, key=lambda planner: (measures[planner]["success_rate"], measures[planner]["reward"]))
     ours, theirs = measures[ADAPTIVE], measures[best]
-    verdict = f"{setting_label(setting)}: {_verdict(versus[best], planner_label(best))}."
-    parts = (_achievement(ADAPTIVE, ours), f"{_achievement(best, theirs)} (the best of the others)")
+    rival = planner_label(best, fixed_s)
+    verdict = f"{setting_label(setting)}: {_verdict(versus[best], rival)}."
+    parts = (_achievement(ADAPTIVE, ours), f"{_achievement(rival, theirs)} (the best of the others)")
     n_tasks = versus[best]["success"]["n_tasks"]
     told = [*parts, *_rewarded(versus[best]["reward"])]
     return verdict, f"{'; '.join(told).capitalize()}. Differences on the same {n_tasks} tasks, with 95 % intervals."
@@ -143,8 +152,8 @@ def _interval(difference: Mapping[str, Any], factor: float, decimals: int) -> st
     return f"{abs(factor * difference['value']):.{decimals}f} [{low:.{decimals}f}, {high:.{decimals}f}]"
 
 
-def _achievement(planner: str, measures: Measures) -> str:
+def _achievement(label: str, measures: Measures) -> str:
     time_s = measures["driving_time_s"]
     pace = "the ego never arrives" if time_s is None else f"driving time {time_s:.1f} s"
     success, collision = (100 * measures[key] for key in ("success_rate", "collision_rate"))
-    return f"{planner_label(planner)}: {success:.1f} % success, {collision:.1f} % collisions, {pace}"
+    return f"{label}: {success:.1f} % success, {collision:.1f} % collisions, {pace}"

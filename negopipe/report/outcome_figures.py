@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES
 from negopipe.report.figures import (
     INK,
@@ -32,12 +33,12 @@ BIN_M = 0.2
 
 
 @styled
-def arrivals(table: pd.DataFrame) -> Figure:
+def arrivals(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
     """Share of all episodes in which the ego has arrived by a time, for every planner, one panel per setting."""
     settings, planners = settings_and_planners(table)
     figure = Figure((WIDTH_IN, 0.9 + 1.7 * len(settings)), layout="constrained")
     axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
-    colors = planner_colors(planners)
+    colors = planner_colors(planners, fixed_s)
     for axis, setting in zip(axes, settings, strict=True):
         for planner, rows in table[table["setting"] == setting].groupby("planner", sort=False):
             _arrival_curve(axis, rows["ego_time_s"], colors[str(planner)], is_adaptive=planner == ADAPTIVE)
@@ -45,7 +46,7 @@ def arrivals(table: pd.DataFrame) -> Figure:
         axis.grid(axis="y")
     latest_s = table["ego_time_s"].max()
     axes[-1].set(xlabel="time [s]", xlim=(0, 1.0 if np.isnan(latest_s) else 1.05 * latest_s))  # NaN: nobody arrived
-    handles = [Patch(color=color, label=planner_label(name)) for name, color in colors.items()]
+    handles = [Patch(color=color, label=planner_label(name, fixed_s)) for name, color in colors.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, handlelength=1.0)
     return figure
 
@@ -59,7 +60,7 @@ def _arrival_curve(axis: Axes, time_s: pd.Series, color: str, is_adaptive: bool)
 
 
 @styled
-def outcomes(table: pd.DataFrame) -> Figure:
+def outcomes(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
     """How the episodes of every planner ended, one stacked bar each, one panel per setting."""
     settings, planners = settings_and_planners(table)
     figure = Figure((WIDTH_IN, 0.7 + (0.5 + 0.26 * len(planners)) * len(settings)), layout="constrained")
@@ -68,6 +69,7 @@ def outcomes(table: pd.DataFrame) -> Figure:
         rows = table[table["setting"] == setting]
         share = pd.crosstab(rows["planner"], rows["outcome"], normalize="index") * 100
         _stacked_bars(axis, share.reindex(index=planners, columns=list(OUTCOMES), fill_value=0.0))
+        axis.set_yticks(range(len(planners)), [planner_label(planner, fixed_s) for planner in planners])
         axis.set_title(setting_label(setting))
     axes[-1].set_xlabel("episodes [%]")
     outcome_legend(figure, table["outcome"].unique())
@@ -86,12 +88,11 @@ def _stacked_bars(axis: Axes, share: pd.DataFrame) -> None:
             axis.text(center, row, f"{width[row]:.0f}", ha="center", va="center", color=color, fontsize=8)
         left += width
     axis.set(xlim=(0, 100), ylim=(len(share) - 0.5, -0.5))
-    axis.set_yticks(range(len(share)), [planner_label(planner) for planner in share.index])
     axis.tick_params(axis="y", length=0)
 
 
 @styled
-def success_by_style(table: pd.DataFrame) -> Figure:
+def success_by_style(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
     """Share of successes of every planner against every style of the social driver, one panel per setting."""
     settings, planners = settings_and_planners(table)
     figure = Figure((WIDTH_IN, 0.5 + (0.5 + 0.26 * len(planners)) * len(settings)), layout="constrained")
@@ -101,6 +102,7 @@ def success_by_style(table: pd.DataFrame) -> Figure:
         rows = ended[ended["setting"] == setting]
         rate = 100 * rows.pivot_table(index="planner", columns="style_horizon_s", values="is_success")
         _rates(axis, rate.reindex(index=planners))
+        axis.set_yticks(range(len(planners)), [planner_label(planner, fixed_s) for planner in planners])
         axis.set_title(f"{setting_label(setting)}: success [% of episodes]")
     axes[-1].set_xlabel("prediction horizon of the social driver [s], short = aggressive")
     return figure
@@ -113,7 +115,6 @@ def _rates(axis: Axes, rate: pd.DataFrame) -> None:
         text = "" if np.isnan(value) else f"{value:.0f}"
         axis.text(column, row, text, ha="center", va="center", color="white" if value > 75 else INK, fontsize=8)
     axis.set_xticks(range(rate.shape[1]), [f"{style:g}" for style in rate.columns])
-    axis.set_yticks(range(len(rate)), [planner_label(str(planner)) for planner in rate.index])
     axis.tick_params(length=0)
     axis.spines[:].set_visible(False)
 

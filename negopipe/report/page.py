@@ -11,6 +11,7 @@ import jinja2
 from pydantic import Field
 
 from negopipe.evaluation.claims import Claim, Finding, Verdict
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.report.figures import setting_label
 from negopipe.report.headlines import Difference, Measures, Versus
 from negopipe.report.tables import Table, n_episodes, tables
@@ -50,13 +51,13 @@ class Chapter:
     tables: Sequence[Table]
 
 
-def chapters(results: Results) -> list[Chapter]:
+def chapters(results: Results, fixed_s: FixedHorizons) -> list[Chapter]:
     """One per setting."""
     return [
         Chapter(
             setting_label(setting),
-            n_episodes(measures),
-            tables(measures, results.versus[setting], results.regret[setting]),
+            n_episodes(measures, fixed_s),
+            tables(measures, results.versus[setting], results.regret[setting], fixed_s),
         )
         for setting, measures in results.evaluation.items()
     ]

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.report.figures import planner_colors, planner_label
 from negopipe.report.headlines import Difference, Measures, Versus
 
@@ -83,7 +84,10 @@ LACKED = (Column("regret", "value", 1, 2, "min", ("low", "high")), Column("tasks
 
 
 def tables(
-    measures: Mapping[str, Measures], versus: Mapping[str, Versus], regret: Mapping[str, Difference]
+    measures: Mapping[str, Measures],
+    versus: Mapping[str, Versus],
+    regret: Mapping[str, Difference],
+    fixed_s: FixedHorizons,
 ) -> list[Table]:
     """Of one setting.
 
@@ -96,8 +100,8 @@ def tables(
         "How the ego drove": DROVE,
         "Closest and hardest of each episode, and decisions without a feasible plan (full braking): means": CAME_CLOSE,
     }
-    label = {planner: planner_label(planner) for planner in measures}
-    colors = planner_colors(list(measures))
+    label = {planner: planner_label(planner, fixed_s) for planner in measures}
+    colors = planner_colors(list(measures), fixed_s)
     drawn = [table(caption, columns, measures, label, colors) for caption, columns in tables_of_all.items()]
     if versus:
         drawn.append(table("Difference from the adaptive planner, on the same tasks", COMPARED, versus, label, colors))
@@ -106,10 +110,14 @@ def tables(
     return drawn
 
 
-def n_episodes(measures: Mapping[str, Measures]) -> str:
+def n_episodes(measures: Mapping[str, Measures], fixed_s: FixedHorizons) -> str:
     """`500 episodes each`, with the planners that drove fewer of them."""
     most = max(each["n_episodes"] for each in measures.values())
-    fewer = [f"{planner_label(p)} {each['n_episodes']}" for p, each in measures.items() if each["n_episodes"] < most]
+    fewer = [
+        f"{planner_label(planner, fixed_s)} {each['n_episodes']}"
+        for planner, each in measures.items()
+        if each["n_episodes"] < most
+    ]
     return f"{most} episodes each" + (f" ({', '.join(fewer)}, the first ones)" if fewer else "")
 
 

@@ -117,7 +117,7 @@ class ScenarioConfig:
 
 
 def pair_styles(families: Families, pairing: str) -> Families:
-    """Settle whose behaviour `push` and `yield` name (Reading: start positions).
+    """Settle whose behaviour `push` and `yield` name (docs/reading.md, "start positions").
 
     `ego_behaviour` leaves the families as configured; `literal` reads the paper's labels as the style of the
     social vehicle, which swaps the styles of the two families and their switches. Other families are not touched.

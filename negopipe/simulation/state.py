@@ -26,7 +26,7 @@ NEAREST = 1
 """Column of the social vehicle that starts nearest to its mouth of the corridor."""
 
 AT_REST_MPS = 0.1
-"""A vehicle that is slower than this is at rest (Reading: suspend number)."""
+"""A vehicle that is slower than this is at rest (docs/reading.md, "suspend number")."""
 
 
 @dataclass(frozen=True)

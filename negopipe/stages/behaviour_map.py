@@ -10,9 +10,10 @@ import pandas as pd
 
 from negopipe.driver import fixed_horizon
 from negopipe.env import Game
-from negopipe.evaluation.behaviour_map import cell, claims, findings
+from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, cell, claims, findings
 from negopipe.evaluation.episodes import decide_once, drive_episodes
-from negopipe.evaluation.planners import by_horizon, fixed_name
+from negopipe.evaluation.names import fixed_name
+from negopipe.evaluation.planners import by_horizon
 from negopipe.report.behaviour_map import behaviour_map, reading
 from negopipe.report.figures import render
 from negopipe.seeding import generator
@@ -21,6 +22,7 @@ from negopipe.simulation.state import Task, map_tensors
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import game_of
 from negopipe.stages.workers import n_processes, side_by_side
+from negopipe.tracking.csv_file import write_csv
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -35,7 +37,7 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     """Drive all pairs in all settings; writes behaviour_map.csv, figures/behaviour_map.* and claim 8's verdicts."""
     game = game_of(config)
     table = drive_map(config, game)
-    table.to_csv(run.folder / MAP_NAME, index=False)
+    write_csv(run.folder / MAP_NAME, table, BEHAVIOUR_MAP)
     run.log_artifact(run.folder / MAP_NAME)
     _draw(table, config.report.figure_formats, run)
     found = findings(table)

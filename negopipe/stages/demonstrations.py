@@ -21,13 +21,16 @@ from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task
 from negopipe.stages.progress import ProgressLine
 from negopipe.torch_settings import one_thread
+from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME
-from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
 
 log = logging.getLogger("negopipe")
+
+DEMONSTRATIONS = CsvKind("the stage `train`", {"family": str, "reward": float, "horizons": str})
+"""demonstrations.csv: a row per task."""
 
 
 def demonstrations(config: "RunConfig", game: Game, folder: Path | None) -> Demonstrations | None:
@@ -43,9 +46,9 @@ def demonstrations(config: "RunConfig", game: Game, folder: Path | None) -> Demo
     if path is None or not path.is_file():
         table = _search(config, wanted, game, tasks)
         if path is not None:
-            write_whole(path, table.to_csv(index=False).encode())
+            write_csv(path, table, DEMONSTRATIONS)
     else:
-        table = pd.read_csv(path, dtype={"horizons": str})  # `0` is a text, too
+        table = read_csv(path, DEMONSTRATIONS, DEMONSTRATIONS.columns)
     texts = {name: table.loc[table["family"] == name, "horizons"].tolist() for name in tasks}
     seen = [_replay(config, game, drawn, texts[name]) for name, drawn in tasks.items()]
     observation, action = (torch.cat(parts) for parts in zip(*seen, strict=True))

@@ -20,7 +20,9 @@ def _trial(config: "RunConfig") -> str:
     if "evaluate" not in config.stages:
         return ""
     settings = [setting_label(setting).lower() for setting in config.evaluation.settings]
-    rivals = [planner_label(name) for name in config.evaluation.rivals] or ["nobody"]
+    rivals = [planner_label(name, config.evaluation.fixed_horizons_s) for name in config.evaluation.rivals] or [
+        "nobody"
+    ]
     tasks = f"{config.evaluation.n_episodes:,} held-out tasks each of {' and '.join(settings)}"
     return f" Evaluated on {tasks}, against {', '.join(rivals)}."
 
@@ -49,6 +51,6 @@ def tell_how_it_went(config: "RunConfig", run: "TrackedRun", results: dict[str, 
     """
     settings = settings_in_order(results["evaluation"], config.evaluation.leading_setting)
     evaluation = {setting: results["evaluation"][setting] for setting in settings}
-    verdicts = headlines(evaluation, results["versus_adaptive"])
+    verdicts = headlines(evaluation, results["versus_adaptive"], config.evaluation.fixed_horizons_s)
     run.set_tags({"standing": standing(evaluation, results["versus_adaptive"])})
     run.set_description("\n\n".join([what_it_is(config), *(" ".join(lines) for lines in verdicts)]))

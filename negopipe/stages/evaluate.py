@@ -15,6 +15,7 @@ from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes import decide_once, drive_episodes
+from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.planners import adaptive_planner
 from negopipe.evaluation.rival import Rival
 from negopipe.evaluation.safety import safety
@@ -30,6 +31,7 @@ from negopipe.stages.setup import build, load_policy
 from negopipe.stages.workers import n_processes, side_by_side
 from negopipe.torch_settings import one_thread
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
+from negopipe.tracking.csv_file import write_csv
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -60,12 +62,12 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
             log.info(f"{setting:10} without {planner}: {DOES_NOT_FIT}")
     tables, traces = zip(*(driven for driven in done if driven is not None), strict=True)
     table = pd.concat(tables, ignore_index=True)
-    table.to_csv(run.folder / "episodes.csv", index=False)
+    write_csv(run.folder / EPISODES_NAME, table, EPISODES)
     save_traces(run.folder / "traces.npz", list(traces))
     summary = metrics.summary(table)
     results = summary | versus_adaptive(table) | regret(table)
     run.update_metrics_json(results)
-    run.log_artifact(run.folder / "episodes.csv")
+    run.log_artifact(run.folder / EPISODES_NAME)
     run.log_metrics(_scalars(summary), step=0)
     tell_how_it_went(config, run, results)
     _say(summary)

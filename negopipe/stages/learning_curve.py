@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from negopipe.learning.rollout import Rollout
+from negopipe.tracking.csv_file import CsvKind, write_csv
 from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
 
 N_RECENT_EPISODES = 200
@@ -18,6 +19,13 @@ N_RECENT_EPISODES = 200
 
 MEANS_OF_EPISODES = {"success_rate": "is_success", "collision_rate": "is_collision", "return_mean": "return"}
 """Of a row of the learning curve: NaN until an episode has ended; the episodes' column that each is the mean of."""
+
+HISTORY = CsvKind("the stage `train`", {"decisions": int, "stage": str, "*": float})
+"""history.csv: a row per iteration; what an algorithm tells of its updates stands among the numbers."""
+TRAINING_EPISODES = CsvKind(
+    "the stage `train`", {"decisions": int, "is_success": int, "is_collision": int, "*": float}, float_format="%.6g"
+)
+"""training_episodes.csv: a row per episode, `LearningCurve.episodes`."""
 
 
 class LearningCurve:
@@ -113,7 +121,7 @@ class LearningCurve:
 
     def write(self, folder: Path) -> None:
         """history.csv, the iterations, and training_episodes.csv."""
-        pd.DataFrame(self.rows).to_csv(folder / HISTORY_NAME, index=False)
+        write_csv(folder / HISTORY_NAME, pd.DataFrame(self.rows), HISTORY)
         table = pd.DataFrame({name: values.numpy() for name, values in self.episodes.items()})
         flags = {name: "int64" for name in ("decisions", "is_success", "is_collision")}
-        table.astype(flags).to_csv(folder / TRAINING_EPISODES_NAME, index=False, float_format="%.6g")
+        write_csv(folder / TRAINING_EPISODES_NAME, table.astype(flags), TRAINING_EPISODES)

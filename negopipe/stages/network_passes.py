@@ -38,7 +38,7 @@ def iteration_passes(
 ) -> Callable[[], None]:
     """All that an iteration must ask of the network: each decision forward once, and forward and backward per epoch.
 
-    Reading: the forward passes are made in minibatches as well, where collecting makes them `n_worlds` at a time; in
+    The forward passes are made in minibatches as well, where collecting makes them `n_worlds` at a time; in
     larger batches the network is faster, so what an iteration is held against is as short as it can be.
     """
     sizes = minibatch_sizes(algorithm)

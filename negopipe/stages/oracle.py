@@ -13,16 +13,18 @@ from negopipe.driver import ChooseHorizon, fixed_horizon
 from negopipe.env import Game
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes, running, summary
+from negopipe.evaluation.names import fixed_name
 from negopipe.evaluation.oracle import Rollouts, Sequences, best_simple, improve
-from negopipe.evaluation.planners import by_horizon, fixed_name, sequence_planner
+from negopipe.evaluation.planners import by_horizon, sequence_planner
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.seeding import generator
 from negopipe.simulation.state import EGO, Task, map_tensors
 from negopipe.stages.evaluate import held_out_tasks
+from negopipe.stages.oracle_table import ORACLE_TABLE
 from negopipe.stages.progress import ProgressLine
 from negopipe.stages.setup import game_of
 from negopipe.torch_settings import one_thread
-from negopipe.tracking.whole_file import write_whole
+from negopipe.tracking.csv_file import read_csv, write_csv
 
 if TYPE_CHECKING:
     from negopipe.config import RunConfig
@@ -49,8 +51,8 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
         for setting, part in parts.items():
             if not part.exists():
                 _search(config, game, run, setting, part, progress)
-    table = pd.concat([pd.read_csv(part, dtype=str, keep_default_na=False) for part in parts.values()])
-    write_whole(run.folder / "oracle.csv", table.to_csv(index=False).encode())
+    table = pd.concat([read_csv(part, ORACLE_TABLE.texts) for part in parts.values()])
+    write_csv(run.folder / "oracle.csv", table, ORACLE_TABLE)
     run.log_artifact(run.folder / "oracle.csv")
     shutil.rmtree(run.folder / PARTS_NAME)
 
@@ -68,7 +70,7 @@ def _search(
     measures = _measures(own, fixed, half, best)
     _say(setting, measures)
     run.update_metrics_json({"oracle": {setting: measures}})
-    write_whole(part, table(own, fixed).assign(n_switches=n_switches(trace)).to_csv(index=False).encode())
+    write_csv(part, table(own, fixed).assign(n_switches=n_switches(trace)), ORACLE_TABLE)
 
 
 def oracle_tasks(config: "RunConfig", game: Game, setting: str) -> Task:

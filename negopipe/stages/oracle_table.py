@@ -13,6 +13,7 @@ from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.replay import replay
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.simulation.state import EGO, NEAREST, Task, map_tensors
+from negopipe.tracking.csv_file import CsvKind, read_csv
 from negopipe.tracking.pretrained import find_oracle
 
 if TYPE_CHECKING:
@@ -24,7 +25,27 @@ SAME_START_M = 1e-3
 DOES_NOT_FIT = "what comes with negopipe was found for another road, planner, reward or other tasks"
 """Said where such a table is left out."""
 START = ("ego_start_distance_m", "social_start_distance_m", "style_horizon_s")
-COLUMNS = {"setting", "episode", "horizons", "reward", *START}
+COLUMNS = ("setting", "episode", "horizons", "reward", *START)
+"""What it takes to drive it."""
+ORACLE_TABLE = CsvKind(
+    "the stage `oracle`",
+    {
+        "setting": str,
+        "episode": int,
+        **dict.fromkeys(START, float),
+        "outcome": str,
+        "reward": float,
+        "ego_time_s": float,
+        "social_time_s": float,
+        "horizons": str,
+        "best_fixed_horizon_s": float,
+        "best_fixed_reward": float,
+        "fixed_*_outcome": str,
+        "fixed_*_reward": float,
+        "n_switches": int,
+    },
+)
+"""oracle.csv: a row per task, `stages.oracle.table` with the number of switches."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +67,12 @@ def read_oracle(reference: str) -> OracleTable:
             f"evaluation.oracle must be pretrained or an oracle.csv as +experiment=oracle writes it, got {path}: "
             "no such file"
         )
-    table = pd.read_csv(path, keep_default_na=False)
-    if not set(table.columns) >= COLUMNS or (table["horizons"] == "").all():
-        raise UserError(f"evaluation.oracle must be an oracle.csv with a column horizons, got {path}")
+    try:
+        table = read_csv(path, ORACLE_TABLE, COLUMNS)
+    except UserError as error:
+        raise UserError(f"evaluation.oracle must be an oracle.csv with horizons: {error}") from error
+    if (table["horizons"] == "").all():
+        raise UserError(f"evaluation.oracle must be an oracle.csv with horizons, got {path}: its column is empty")
     return OracleTable(table[table["horizons"] != ""], comes_along=path != Path(reference))
 
 

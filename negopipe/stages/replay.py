@@ -1,6 +1,5 @@
 """The replay stage: one evaluated episode again, bit for bit, as an animation that looks into the policy."""
 
-import io
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,6 +9,7 @@ import pandas as pd
 
 from negopipe.env import Game
 from negopipe.errors import UserError
+from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.replay import Insight, look_into, replay
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
@@ -18,6 +18,7 @@ from negopipe.simulation.state import Task, map_tensors
 from negopipe.stages.evaluate import checkpoint_of, drive_rival, held_out_tasks, measure
 from negopipe.stages.report import make_scene
 from negopipe.stages.setup import build, load_policy
+from negopipe.tracking.csv_file import csv_text, parse_csv, read_csv
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 FOLDER = "replays"
+KEYS = ("setting", "planner", "episode")
+"""Columns of episodes.csv that say which episode it is."""
 
 
 class EpisodeId(NamedTuple):
@@ -54,10 +57,10 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     folder = run.folder / FOLDER
     folder.mkdir(exist_ok=True)
     name = "_".join(map(str, which))
-    scene = make_scene(config.scenario, game.simulator.road)
+    scene, fixed_s = make_scene(config.scenario, game.simulator.road), config.evaluation.fixed_horizons_s
     files = {
-        "gif": animation.animate([trace], 0, scene, config.report.animation_fps, insight),
-        "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, insight),
+        "gif": animation.animate([trace], 0, scene, config.report.animation_fps, fixed_s, insight),
+        "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, fixed_s, insight),
     }
     for suffix, data in files.items():
         path = folder / f"{name}.{suffix}"
@@ -68,10 +71,8 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
 
 def find_episode(config: "RunConfig", folder: Path) -> tuple[EpisodeId, pd.Series]:
     """The episode that the config names and its row of episodes.csv."""
-    path = folder / "episodes.csv"
-    if not path.is_file():
-        raise UserError(f"{path}: no such file; run the stage `evaluate` first")
-    table = _as_text(path)
+    path = folder / EPISODES_NAME
+    table = read_csv(path, EPISODES.texts, KEYS)
     if "horizons" not in table:
         raise UserError(f"{path}: holds no horizons, it is of older code; run the stage `evaluate` anew (rerun=true)")
     setting, planner, number = str(config.episode).split("/")
@@ -101,9 +102,9 @@ def _check_same(config: "RunConfig", folder: Path, which: EpisodeId, row: pd.Ser
     Without a compiler what is computed beside a world moves its last bits; then how it ended must be the same.
     """
     is_exact = config.compile == "on"
-    driven = _as_text(io.StringIO(measure(config, trace).to_csv(index=False))).iloc[0]
-    stored = _as_text(folder / "episodes.csv").iloc[int(str(row.name))]
+    driven = parse_csv(csv_text(measure(config, trace), EPISODES), EPISODES.texts).iloc[0]
     compared = list(driven.index.drop("episode")) if is_exact else ["outcome", "n_decisions"]
+    stored = read_csv(folder / EPISODES_NAME, EPISODES.texts, compared).iloc[int(str(row.name))]
     for name in compared:
         if driven[name] != stored[name]:
             said = f"{name} {driven[name]} for {stored[name]}"
@@ -113,10 +114,6 @@ def _check_same(config: "RunConfig", folder: Path, which: EpisodeId, row: pd.Ser
     if is_kept:
         _check_bits(config, which, kept[0], trace)
     log.info(f"replay     {config.episode}: as evaluated{', to the last bit' if is_kept else ''}")
-
-
-def _as_text(file: Path | io.StringIO) -> pd.DataFrame:
-    return pd.read_csv(file, dtype="str", keep_default_na=False)
 
 
 def _check_bits(config: "RunConfig", which: EpisodeId, kept: Trace, trace: Trace) -> None:

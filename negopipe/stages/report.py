@@ -13,8 +13,10 @@ import torch
 from matplotlib.figure import Figure
 
 from negopipe.errors import UserError
-from negopipe.evaluation.behaviour_map import findings
+from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, findings
 from negopipe.evaluation.claims import judge_claims
+from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.replay import Insight, look_into
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures, outcome_figures
@@ -39,8 +41,10 @@ from negopipe.simulation.state import EGO, NEAREST, map_tensors
 from negopipe.stages import report_runs
 from negopipe.stages.behaviour_map import MAP_NAME
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
+from negopipe.stages.learning_curve import HISTORY, TRAINING_EPISODES
 from negopipe.stages.provenance import provenance, write_claims
 from negopipe.stages.setup import build, load_policy
+from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
 
 if TYPE_CHECKING:
@@ -51,6 +55,7 @@ log = logging.getLogger("negopipe")
 
 RESULTS = ("evaluation", "versus_adaptive", "regret")
 """Parts of metrics.json that the page shows."""
+DRAWN_OF_TRAINING = ("decisions", "is_success", "is_collision", "social_start_distance_m", "style_horizon_s")
 N_TRAINING_MAPS, SLIDE_S = 10, 0.8
 """Parts that the training is shown in, and how long each is on screen."""
 N_TABLED = 100
@@ -90,10 +95,11 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     settings = settings_in_order(metrics["evaluation"], config.evaluation.leading_setting)
     shown = [ADAPTIVE, *config.report.side_by_side]
     traces = _by_setting(load_traces(run.folder / "traces.npz"), settings, shown)
-    table = _in_order(_read_csv(run.folder / "episodes.csv", "evaluate"), settings)
+    table = _in_order(read_csv(run.folder / EPISODES_NAME, EPISODES, EPISODES.columns), settings)
     planners = list(table["planner"].unique())
     results = Results(*({setting: _pick(metrics[part][setting], planners) for setting in settings} for part in RESULTS))
-    claims = judge_claims(table, [trace for group in traces.values() for trace in group])
+    fixed_s = config.evaluation.fixed_horizons_s
+    claims = judge_claims(table, [trace for group in traces.values() for trace in group], fixed_s)
     write_claims(run, claims)
     drawings = _Gallery(run.folder / "figures", config.report.figure_formats)
     films = _Gallery(run.folder / "animations")
@@ -101,16 +107,16 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     insights = look_into_policy(config, run, traces)
     log.info("report: figures")
     sections = [
-        _planners(drawings, table, _unseen(config)),
-        _negotiations(drawings, traces, road.corridor_sigma_m),
-        _animations(config.report, films, traces, make_scene(config.scenario, road), insights),
-        _behaviour(drawings, traces, config.scenario.road.corridor_length_m, run.folder / MAP_NAME),
+        _planners(drawings, table, _unseen(config), fixed_s),
+        _negotiations(drawings, traces, road.corridor_sigma_m, fixed_s),
+        _animations(config.report, films, traces, make_scene(config.scenario, road), insights, fixed_s),
+        _behaviour(drawings, traces, config.scenario.road.corridor_length_m, run.folder / MAP_NAME, fixed_s),
         _training(drawings, films, run, sorted({gap for gaps in _unseen(config).values() for gap in gaps})),
     ]
-    verdicts = headlines(results.evaluation, results.versus)
+    verdicts = headlines(results.evaluation, results.versus, fixed_s)
     title = f"{config.name}, seed {config.seed}"
     tested = claims if any(claim.verdict != "not tested" for claim in claims) else []
-    page = build_page(title, verdicts, chapters(results), tested, sections, provenance(config.seed, run))
+    page = build_page(title, verdicts, chapters(results, fixed_s), tested, sections, provenance(config.seed, run))
     (run.folder / "report.html").write_text(page, encoding="utf-8")
     for gallery in (drawings, films):
         if any(gallery.folder.iterdir()):
@@ -138,7 +144,12 @@ def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
     )
 
 
-def _planners(gallery: _Gallery, table: pd.DataFrame, unseen: Mapping[str, Sequence[tuple[float, float]]]) -> Section:
+def _planners(
+    gallery: _Gallery,
+    table: pd.DataFrame,
+    unseen: Mapping[str, Sequence[tuple[float, float]]],
+    fixed_s: FixedHorizons,
+) -> Section:
     """Two settings share a figure at most: three would be too small to read on a phone."""
     settings = list(table["setting"].unique())
     exhibits = []
@@ -146,13 +157,13 @@ def _planners(gallery: _Gallery, table: pd.DataFrame, unseen: Mapping[str, Seque
         title, reading = caption(
             "comparison", settings=" and ".join(setting_label(setting).lower() for setting in pair)
         )
-        drawing = figures.comparison(table[table["setting"].isin(pair)])
+        drawing = figures.comparison(table[table["setting"].isin(pair)], fixed_s)
         exhibits.append(gallery.figure(f"comparison_{'_'.join(pair)}", drawing, title, reading))
-    exhibits.append(gallery.figure("outcomes", outcome_figures.outcomes(table), *caption("outcomes")))
-    exhibits.append(gallery.figure("arrivals", outcome_figures.arrivals(table), *caption("arrivals")))
+    exhibits.append(gallery.figure("outcomes", outcome_figures.outcomes(table, fixed_s), *caption("outcomes")))
+    exhibits.append(gallery.figure("arrivals", outcome_figures.arrivals(table, fixed_s), *caption("arrivals")))
     has_styles = table.groupby("setting")["style_horizon_s"].transform("nunique") > 1
     if has_styles.any():
-        drawing = outcome_figures.success_by_style(table[has_styles])
+        drawing = outcome_figures.success_by_style(table[has_styles], fixed_s)
         exhibits.append(gallery.figure("success_by_style", drawing, *caption("success_by_style")))
     for setting, rows in table[has_styles].groupby("setting", sort=False):
         label, own = setting_label(str(setting)), rows[rows["planner"] == ADAPTIVE]
@@ -168,11 +179,16 @@ def _unseen(config: "RunConfig") -> dict[str, tuple[tuple[float, float], ...]]:
     return {name: tuple((low, high) for low, high in family.gaps_m) for name, family in families.items()}
 
 
-def _negotiations(gallery: _Gallery, traces: dict[str, list[Trace]], corridor_sigma_m: tuple[float, float]) -> Section:
+def _negotiations(
+    gallery: _Gallery,
+    traces: dict[str, list[Trace]],
+    corridor_sigma_m: tuple[float, float],
+    fixed_s: FixedHorizons,
+) -> Section:
     exhibits = []
     for setting, group in traces.items():
         episode = _typical_of_all(group)
-        drawing = figures.space_time(group, episode, corridor_sigma_m)
+        drawing = figures.space_time(group, episode, corridor_sigma_m, fixed_s)
         title, reading = caption("space_time", setting=setting_label(setting))
         exhibits.append(gallery.figure(f"space_time_{setting}", drawing, title, reading))
     return Section("Negotiations", "", exhibits)
@@ -189,6 +205,7 @@ def _animations(
     traces: dict[str, list[Trace]],
     scene: Scene,
     insights: Mapping[str, Mapping[int, Insight]],
+    fixed_s: FixedHorizons,
 ) -> Section:
     """insights: of the policy's episodes that are shown alone, by setting and episode."""
     exhibits = []
@@ -197,10 +214,12 @@ def _animations(
         if report.side_by_side:
             compared = [adaptive, *_named(group, report.side_by_side)]
             name = f"{setting}_side_by_side"
-            exhibits.append(_film(gallery, name, compared, _typical_of_all(group), scene, report.animation_fps))
+            exhibits.append(
+                _film(gallery, name, compared, _typical_of_all(group), scene, report.animation_fps, fixed_s)
+            )
         for name, episode in _shown_alone(report, adaptive).items():
             insight = insights[setting][episode]
-            exhibits.append(_film(gallery, name, [adaptive], episode, scene, report.animation_fps, insight))
+            exhibits.append(_film(gallery, name, [adaptive], episode, scene, report.animation_fps, fixed_s, insight))
     return Section("Watch it", WATCH, exhibits)
 
 
@@ -247,17 +266,18 @@ def _film(
     episode: int,
     scene: Scene,
     fps: int,
+    fixed_s: FixedHorizons,
     insight: Insight | None = None,
 ) -> Exhibit:
     log.info("report: animation %s", name)
     trace = traces[0]
-    gif = animation.animate(traces, episode, scene, fps, insight)
-    still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, insight)
+    gif = animation.animate(traces, episode, scene, fps, fixed_s, insight)
+    still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, fixed_s, insight)
     title, reading = caption(
         "film" if insight is None else "film_alone",
         setting=setting_label(trace.family),
         episode=episode,
-        planners=", ".join(planner_label(shown.planner) for shown in traces),
+        planners=", ".join(planner_label(shown.planner, fixed_s) for shown in traces),
         which="the worst" if name.endswith("_worst") else "a typical one",
         style_s=trace.style_horizon_s[episode, NEAREST],
     )
@@ -265,18 +285,22 @@ def _film(
 
 
 def _behaviour(
-    gallery: _Gallery, traces: dict[str, list[Trace]], corridor_length_m: float, behaviour_map: Path
+    gallery: _Gallery,
+    traces: dict[str, list[Trace]],
+    corridor_length_m: float,
+    behaviour_map: Path,
+    fixed_s: FixedHorizons,
 ) -> Section:
     """With the behaviour map, if its stage has left one."""
     flat = [trace for group in traces.values() for trace in group]
     along = figures.horizons_along(flat, corridor_length_m)
     exhibits = [
-        gallery.figure("behaviour_index", figures.behaviour(flat), *caption("behaviour_index")),
+        gallery.figure("behaviour_index", figures.behaviour(flat, fixed_s), *caption("behaviour_index")),
         gallery.figure("horizons", figures.horizons(flat), *caption("horizons")),
         gallery.figure("horizons_along", along, *caption("horizons_along")),
     ]
     if behaviour_map.is_file():
-        table = pd.read_csv(behaviour_map)
+        table = read_csv(behaviour_map, BEHAVIOUR_MAP, BEHAVIOUR_MAP.columns)
         words = caption("behaviour_map", verdict=map_reading(findings(table)))
         exhibits.insert(0, gallery.figure("behaviour_map", map_figure(table), *words))
     return Section("Behaviour", "", exhibits)
@@ -288,10 +312,10 @@ def _training(
     """The store is given the maps, too, each at the step at which its part of the training begins."""
     if not (run.folder / HISTORY_NAME).is_file():
         return Section("Training", NOT_TRAINED, [])
-    table = _read_csv(run.folder / HISTORY_NAME, "train")
+    table = read_csv(run.folder / HISTORY_NAME, HISTORY, ("decisions", "stage"))
     title, reading = caption("training", stages=", ".join(table["stage"].unique()))
     curves = drawings.figure("training", figures.training(table), title, reading)
-    episodes = _read_csv(run.folder / TRAINING_EPISODES_NAME, "train")
+    episodes = read_csv(run.folder / TRAINING_EPISODES_NAME, TRAINING_EPISODES, DRAWN_OF_TRAINING)
     if episodes.empty:
         return Section("Training", "", [curves])
     maps, folder = [], drawings.folder / "training_outcomes"
@@ -328,13 +352,7 @@ def _log_tables(run: "TrackedRun", metrics: Mapping[str, Any], episodes: pd.Data
     ]
     run.log_table("planners", pd.DataFrame(measures))
     first = episodes[episodes["episode"] < N_TABLED]
-    run.log_table("episodes", first.drop(columns=["horizons"], errors="ignore"))
-
-
-def _read_csv(path: Path, stage: str) -> pd.DataFrame:
-    if not path.is_file():
-        raise UserError(f"{path}: no such file; run the stage `{stage}` first")
-    return pd.read_csv(path)
+    run.log_table("episodes", first.drop(columns="horizons"))
 
 
 def _in_order(table: pd.DataFrame, settings: list[str]) -> pd.DataFrame:

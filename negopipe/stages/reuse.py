@@ -5,9 +5,9 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
+from negopipe.stages.learning_curve import HISTORY
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
+from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.metrics_file import read
 from negopipe.tracking.record import RECORD_NAME, read_record
 from negopipe.tracking.run_folder import HISTORY_NAME, METRICS_NAME, TRAINING_EPISODES_NAME
@@ -43,6 +43,6 @@ def _copy(folder: Path, run: "TrackedRun") -> None:
     for name in PRODUCTS:
         write_whole(run.folder / name, (folder / name).read_bytes())
     run.update_metrics_json({"train": read(folder / METRICS_NAME)["train"]})
-    for row in pd.read_csv(run.folder / HISTORY_NAME).to_dict("records"):
+    for row in read_csv(run.folder / HISTORY_NAME, HISTORY, ("decisions",)).to_dict("records"):
         scalars = {f"train/{k}": v for k, v in row.items() if isinstance(v, float) and not math.isnan(v)}
         run.log_metrics(scalars, step=row["decisions"])

@@ -18,9 +18,11 @@ from negopipe.evaluation.trace import ADAPTIVE
 from negopipe.report.figures import setting_label
 from negopipe.report.page import Chapter
 from negopipe.report.tables import Column, table
+from negopipe.stages.learning_curve import HISTORY
 from negopipe.sweeping.learning_curves import COLORS, MEASURES
 from negopipe.sweeping.seeds import across_seeds, by_seed, read_tables
 from negopipe.sweeping.swept_runs import SweptRun, differing_keys, read_runs
+from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.run_folder import CONFIG_NAME, HISTORY_NAME
 
 NOT_COMPARED = ("evaluation.rivals", "evaluation/rival", "evaluation.oracle")
@@ -108,7 +110,7 @@ def read_histories(groups: Groups) -> pd.DataFrame:
     """What `learning_curves` draws of the runs that were trained; empty if none was."""
     columns = ["decisions", "wall_s", *MEASURES]
     tables = [
-        pd.read_csv(folder / HISTORY_NAME, usecols=columns).assign(group=name, seed=seed)
+        read_csv(folder / HISTORY_NAME, HISTORY, columns)[columns].assign(group=name, seed=seed)
         for name, folders in groups.items()
         for seed, folder in enumerate(folders)
         if (folder / HISTORY_NAME).exists()
@@ -122,10 +124,10 @@ def compare(episodes: pd.DataFrame) -> tuple[list[tuple[str, str]], list[Chapter
     episodes: rows of `read_groups`
     """
     verdicts, chapters = [], []
-    names = list(episodes["group"].unique())
     for setting, rows in episodes.groupby("setting", sort=False):
         seeds = {str(name): by_seed(own, None) for name, own in rows.groupby("group", sort=False)}
-        across = {name: _across(own, seeds[names[0]]) for name, own in seeds.items()}
+        first = next(iter(seeds.values()))  # of those that drove this setting
+        across = {name: _across(own, first) for name, own in seeds.items()}
         best = max(across, key=lambda name, across=across: across[name]["reward"])  # type: ignore[misc]
         rewards = {name: own["reward"].to_numpy() for name, own in seeds.items()}
         verdicts.append(_verdict(str(setting), best, across[best], rewards))

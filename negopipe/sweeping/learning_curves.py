@@ -17,7 +17,9 @@ from matplotlib.figure import Figure
 
 from negopipe.errors import UserError
 from negopipe.report.figures import OTHER_COLORS, QUIET, render, styled
+from negopipe.stages.learning_curve import HISTORY
 from negopipe.sweeping.swept_runs import SweptRun, read_runs
+from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.tracking.run_folder import HISTORY_NAME
 
 COLORS = ("#00A0A0", "#E09000", "#1B1B4B", "#D64550", *OTHER_COLORS)
@@ -26,6 +28,11 @@ MEASURES = {"success_rate": "success rate", "return_mean": "return"}
 AXES = {"decisions": ("decisions [thousands]", 1e-3), "wall_s": ("wall time [min]", 1 / 60)}
 KEYS = ("group", "seed", *AXES)
 """Columns of learning_curves.csv beside the measures."""
+CURVES = CsvKind(
+    "negopipe.sweeping.learning_curves",
+    {"group": str, "seed": int, "decisions": int, "wall_s": float, "success_rate": float, "return_mean": float},
+)
+"""learning_curves.csv: `KEYS` and `MEASURES`."""
 N_POINTS = 100
 """Of a curve; seeds are compared at the same points."""
 LOWEST = 1.0
@@ -48,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             table = read_curves(given.source, given.by, given.sweep, given.every)
             target = given.source.parent / "sweeps" / (given.sweep or given.source.name) / "learning_curves"
             target.parent.mkdir(parents=True, exist_ok=True)
-            table.to_csv(f"{target}.csv", index=False)
+            write_csv(Path(f"{target}.csv"), table, CURVES)
     except UserError as error:
         print(error, file=sys.stderr)
         return 1
@@ -67,14 +74,7 @@ def _positive(text: str) -> int:
 
 def read_table(path: Path) -> pd.DataFrame:
     """A learning_curves.csv; UserError if it is none."""
-    try:
-        table = pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: no table of learning curves ({error})") from error
-    missing = {*KEYS, *MEASURES} - set(table.columns)
-    if missing:
-        raise UserError(f"{path}: a table of learning curves has a column {min(missing)}")
-    return table
+    return read_csv(path, CURVES, CURVES.columns)
 
 
 def read_curves(folder: Path, by: Sequence[str], sweep: str | None = None, every: int = 1) -> pd.DataFrame:
@@ -90,7 +90,7 @@ def read_curves(folder: Path, by: Sequence[str], sweep: str | None = None, every
         raise UserError(f"--by must be keys of the config such as algorithm.kind, got {(unknown or ['none'])[0]}")
     columns = [*AXES, *MEASURES]
     tables = [
-        pd.read_csv(folder / run.name / HISTORY_NAME, usecols=columns)[every - 1 :: every].assign(
+        read_csv(folder / run.name / HISTORY_NAME, HISTORY, columns)[columns][every - 1 :: every].assign(
             group=_group(run, by), seed=run.config["seed"]
         )
         for run in runs

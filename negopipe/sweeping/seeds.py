@@ -22,13 +22,29 @@ from rich.markup import escape
 from rich.table import Table
 
 from negopipe.errors import UserError
+from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.statistics import Estimate, interquartile_mean, mean_difference, rate
 from negopipe.evaluation.trace import ADAPTIVE
+from negopipe.stages.oracle_table import ORACLE_TABLE
 from negopipe.sweeping.swept_runs import read_runs
+from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.tracking.run_folder import CONFIG_NAME
 
 RATES = {"success": "success_rate", "collision": "collision_rate"}
 """Outcomes that are counted, and what their shares are called."""
+NEEDED = (
+    *("planner", "setting", "episode", "social_start_distance_m", "style_horizon_s"),
+    *("outcome", "driving_time_s", "reward"),
+)
+"""Columns of episodes.csv that are looked at."""
+_WHO = {"setting": str, "planner": str}
+_MADE_BY = "negopipe.sweeping.seeds"
+KINDS = {
+    "seeds": CsvKind(_MADE_BY, {"seed": int, **_WHO, "n_episodes": int, "*": float}),
+    "across": CsvKind(_MADE_BY, {**_WHO, "n_seeds": int, "*": float}),
+    "styles": CsvKind(_MADE_BY, {"style_s": str, **_WHO, "n_tasks": int, "*": float}),
+}
+"""The tables that it writes; a row of all styles has `all` for its style."""
 RANDOM_SEED = 0
 """Of the bootstrap: the same runs give the same intervals."""
 
@@ -50,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     target = given.folder.parent / "sweeps" / (given.sweep or given.folder.name)
     target.mkdir(parents=True, exist_ok=True)
     for name, table in {"seeds": seeds, "across": across_seeds(seeds), "styles": by_style(episodes, oracle)}.items():
-        table.to_csv(target / f"{name}.csv", index=False)
+        write_csv(target / f"{name}.csv", table, KINDS[name])
         _show(table)
         print(f"{name:10} {target / name}.csv")
     return 0
@@ -63,7 +79,7 @@ def read_episodes(folder: Path, sweep: str | None = None) -> pd.DataFrame:
 
     Raises UserError if no run is evaluated, if two have the same seed or if their policies drove different tasks.
     """
-    runs = [run for run in read_runs(folder, sweep) if (folder / run.name / "episodes.csv").exists()]
+    runs = [run for run in read_runs(folder, sweep) if (folder / run.name / EPISODES_NAME).exists()]
     if not runs:
         raise UserError(f"{folder}: no run in it has been evaluated")
     return read_tables([folder / run.name for run in runs])
@@ -75,7 +91,7 @@ def read_tables(folders: Sequence[Path]) -> pd.DataFrame:
     seeds = [_seed(folder) for folder in folders]
     if len(set(seeds)) < len(seeds):
         raise UserError(f"{place}: must hold one run per seed (--sweep picks some), got seeds {seeds}")
-    tables = [pd.read_csv(folder / "episodes.csv") for folder in folders]
+    tables = [read_csv(folder / EPISODES_NAME, EPISODES, NEEDED) for folder in folders]
     tasks = [_tasks(table) for table in tables]
     for folder, own in zip(folders[1:], tasks[1:], strict=True):
         if not own.equals(tasks[0]):
@@ -176,7 +192,7 @@ def _regret(part: pd.DataFrame, oracle: pd.DataFrame, rng: np.random.Generator) 
 def _read_oracle(path: Path) -> pd.DataFrame:
     if not path.is_file():
         raise UserError(f"--oracle must be an oracle.csv, got {path}: no such file")
-    return pd.read_csv(path)
+    return read_csv(path, ORACLE_TABLE, ("setting", "episode", "social_start_distance_m", "reward"))
 
 
 def _named(name: str, estimate: Estimate) -> dict[str, float]:

@@ -31,10 +31,13 @@ from negopipe.sweeping.swept_runs import (
     read_runs,
     tabulate,
 )
+from negopipe.tracking.csv_file import CsvKind, write_csv
 from negopipe.tracking.names import without_implied
 from negopipe.tracking.record import as_command
 
 TABLE_NAME, FIGURE_NAME = "summary.csv", "parallel_coordinates"
+SUMMARY = CsvKind("negopipe.sweeping.summary", {OBJECTIVE: float, SPREAD: float, SEEDS: int, "*": str})
+"""summary.csv: a row per config, columns for the keys that differ and for what came of them."""
 N_SHOWN = 40
 """Rows of the table that are shown; summary.csv has all, and all keys that differ."""
 N_AXES = 10
@@ -64,7 +67,7 @@ def summarize(folder: Path, sweep: str | None, objective: list[str] | None, mini
     shown = without_implied(differing, [run.config for run in runs])
     target = folder.parent / "sweeps" / (sweep or folder.name)
     target.mkdir(parents=True, exist_ok=True)
-    table.to_csv(target / TABLE_NAME, index=False)
+    write_csv(target / TABLE_NAME, table, SUMMARY)
     _show(table, shown, keys)
     print(f"table      {target / TABLE_NAME}")
     if not table[OBJECTIVE].notna().any():

@@ -104,6 +104,17 @@ def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: f
     assert cautious.waiting_place(simulator, 0.0, side) < -5.0  # in the corridor nobody can pass
 
 
+def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:
+    """Whatever it is called."""
+    short = ["kind=fixed", "n_episodes=null", "horizon_s=1.5"]
+    overrides = [f"+evaluation.rivals.random_short.{value}" for value in short]
+    evaluation = compose_config(
+        ["evaluation/rival=[fixed_6,cautious]", "report.side_by_side=[]", *overrides]
+    ).evaluation
+    assert list(evaluation.rivals) == ["fixed_6", "cautious", "random_short"]
+    assert evaluation.fixed_horizons_s == {"fixed_6": 6.0, "random_short": 1.5}
+
+
 def test_only_horizons_that_a_rival_names_are_used(config: RunConfig, brief: Game, rivals: dict[str, Rival]) -> None:
     task = draw_tasks(config, 2, seed=3)
     short = replace(rivals["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]

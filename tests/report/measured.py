@@ -2,6 +2,9 @@
 
 from typing import Any
 
+FIXED_S = {"fixed_0": 0.0, "fixed_2": 2.0, "fixed_4": 4.0, "fixed_6": 6.0}
+"""The paper's planners with one horizon."""
+
 
 def measures(success: float, collision: float, time_s: float | None, n: int = 100) -> dict[str, Any]:
     """Of a planner in a setting, with rough intervals that get narrower with n."""

@@ -5,6 +5,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from measured import FIXED_S
 from PIL import Image
 
 from negopipe.evaluation.replay import Insight
@@ -41,7 +42,7 @@ def test_the_worst_has_the_lowest_return(traces: list[Trace]) -> None:
 
 @pytest.mark.parametrize("fps", [1, 3])
 def test_a_gif_runs_in_real_time(traces: list[Trace], scene: Scene, fps: int) -> None:
-    gif = Image.open(BytesIO(animate(traces[:1], 0, scene, fps)))
+    gif = Image.open(BytesIO(animate(traces[:1], 0, scene, fps, FIXED_S)))
     total_ms = 0
     for frame in range(gif.n_frames):
         gif.seek(frame)
@@ -52,18 +53,18 @@ def test_a_gif_runs_in_real_time(traces: list[Trace], scene: Scene, fps: int) ->
 
 
 def test_a_gif_is_small_and_the_same_each_time(traces: list[Trace], scene: Scene) -> None:
-    assert len(animate([traces[0], traces[2], traces[4]], 0, scene, 10)) < 1_500_000
-    assert animate(traces[:1], 0, scene, 1) == animate(traces[:1], 0, scene, 1)
+    assert len(animate([traces[0], traces[2], traces[4]], 0, scene, 10, FIXED_S)) < 1_500_000
+    assert animate(traces[:1], 0, scene, 1, FIXED_S) == animate(traces[:1], 0, scene, 1, FIXED_S)
 
 
 def test_side_by_side_has_one_panel_per_planner(traces: list[Trace], scene: Scene) -> None:
-    one, three = (Image.open(BytesIO(still(shown, 0, scene, 1.0))) for shown in (traces[:1], traces[:3]))
+    one, three = (Image.open(BytesIO(still(shown, 0, scene, 1.0, FIXED_S))) for shown in (traces[:1], traces[:3]))
     assert one.width == three.width
     assert three.height > 2.5 * one.height
 
 
 def test_vehicles_are_drawn_in_their_colours(traces: list[Trace], scene: Scene) -> None:
-    image = np.asarray(Image.open(BytesIO(still(traces[:1], 0, scene, 0.0))))
+    image = np.asarray(Image.open(BytesIO(still(traces[:1], 0, scene, 0.0, FIXED_S))))
     ego = (image == [int(ADAPTIVE_COLOR[i : i + 2], 16) for i in (1, 3, 5)]).all(-1)
     pixel_m = 2 * (np.abs(traces[0].position_m[0, 0, :, 0]).max() + 4) / image.shape[1]
     # the windscreen takes 16 % of the length and 80 % of the width
@@ -75,7 +76,7 @@ def test_vehicles_are_drawn_in_their_colours(traces: list[Trace], scene: Scene) 
 @pytest.mark.parametrize("horizon_s", [0.0, 2.0, 6.0])
 def test_the_ribbon_is_as_long_as_the_prediction(traces: list[Trace], scene: Scene, horizon_s: float) -> None:
     trace = replace(traces[0], horizon_s=np.full_like(traces[0].horizon_s, horizon_s))
-    panel = _Film([trace], 0, scene).panels[0]
+    panel = _Film([trace], 0, scene, FIXED_S).panels[0]
     panel.artists_at(1.0)
     outline = panel.ribbons[0].get_xy()
     assert np.ptp(outline[:, 0]) == pytest.approx(horizon_s * trace.speed_mps[5, 0, 1], abs=1e-4)
@@ -89,7 +90,7 @@ def test_the_ribbon_is_as_long_as_the_prediction(traces: list[Trace], scene: Sce
 
 
 def test_between_decisions_vehicles_move_on_evenly(traces: list[Trace], scene: Scene) -> None:
-    panel = _Film(traces[:1], 0, scene).panels[0]
+    panel = _Film(traces[:1], 0, scene, FIXED_S).panels[0]
     centers = []
     for time_s in (0.4, 0.5, 0.6):
         panel.artists_at(time_s)
@@ -100,7 +101,7 @@ def test_between_decisions_vehicles_move_on_evenly(traces: list[Trace], scene: S
 
 def test_the_end_is_told_and_stays(traces: list[Trace], scene: Scene) -> None:
     crashed = next(trace for trace in traces if OUTCOMES[trace.outcome[0]] == "collision")
-    panel = _Film([crashed], 0, scene).panels[0]
+    panel = _Film([crashed], 0, scene, FIXED_S).panels[0]
     panel.artists_at(0.0)
     assert not panel.crash.get_visible()
     panel.artists_at(1e3)
@@ -115,7 +116,7 @@ def test_what_the_policy_saw_and_thought_is_drawn(traces: list[Trace], scene: Sc
     probability = np.tile(np.float32([0.1, 0.2, 0.3, 0.4]), (n_steps, 1))
     probability[5] = (0.7, 0.1, 0.1, 0.1)
     insight = Insight(grids, probability, (0.0, 2.0, 4.0, 6.0), 1.0)
-    film = _Film(traces[:1], 0, scene, insight)
+    film = _Film(traces[:1], 0, scene, FIXED_S, insight)
     (thoughts,) = film.thoughts
     thoughts.artists_at(5 * traces[0].dt_s)
     assert [bar.get_width() for bar in thoughts.bars] == pytest.approx([0.7, 0.1, 0.1, 0.1])
@@ -124,4 +125,4 @@ def test_what_the_policy_saw_and_thought_is_drawn(traces: list[Trace], scene: Sc
     assert np.argwhere(shown).tolist() == [[0, 83]]  # ahead is to the right, left is up
     thoughts.artists_at(1e3)
     assert thoughts.bars[3].get_width() == pytest.approx(0.4)  # of the last decision
-    assert film.draw(0.0).height > _Film(traces[:1], 0, scene).draw(0.0).height
+    assert film.draw(0.0).height > _Film(traces[:1], 0, scene, FIXED_S).draw(0.0).height

@@ -1,12 +1,16 @@
 """Claims: what holds, what does not, what is left open; on made-up evaluations in which that is known."""
 
 import json
+from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
 import pytest
+from measured import FIXED_S
 
 from negopipe.evaluation.claims import Claim, judge_claims
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import Trace
 
 N = 100
@@ -44,8 +48,8 @@ def made_up(
     return pd.concat(rows, ignore_index=True)
 
 
-def judged(table: pd.DataFrame, traces: list[Trace]) -> dict[int, Claim]:
-    return {claim.number: claim for claim in judge_claims(table, traces)}
+def judged(table: pd.DataFrame, traces: list[Trace], fixed_s: FixedHorizons = FIXED_S) -> dict[int, Claim]:
+    return {claim.number: claim for claim in judge_claims(table, traces, fixed_s)}
 
 
 def test_what_the_paper_says_holds_where_it_is_so(traces: list[Trace]) -> None:
@@ -107,6 +111,41 @@ def test_what_was_not_driven_is_not_tested(traces: list[Trace]) -> None:
     assert all(claim.verdict == "not tested" for claim in alone.values())
 
 
+@pytest.mark.parametrize("kept", [names for n in range(5) for names in combinations(FIXED_S, n)])
+def test_any_fixed_horizons_can_be_judged(traces: list[Trace], table: pd.DataFrame, kept: tuple[str, ...]) -> None:
+    found = judged(table[table["planner"].isin(["adaptive", *kept])], traces)
+    assert (found[8].verdict == "not tested") == (len(kept) < 2)
+    for number in range(1, 10):
+        assert kept or found[number].verdict == "not tested"
+    compared = [finding.text for finding in found[8].findings]
+    assert len(compared) == len(set(compared))
+
+
+def test_what_a_planner_is_called_changes_no_verdict(traces: list[Trace]) -> None:
+    called = {"fixed_0": "fixed_short", "fixed_6": "nan", "adaptive": "adaptive"}
+    renamed = made_up().assign(planner=lambda table: table["planner"].map(called))
+    found, as_usual = judged(renamed, traces, {"fixed_short": 0.0, "nan": 6.0}), judged(made_up(), traces)
+    assert {n: claim.verdict for n, claim in found.items()} == {n: claim.verdict for n, claim in as_usual.items()}
+    assert found[3].findings[0].text == "reward less that of fixed short (0 s)"
+    unknown = judged(made_up(), traces, {})  # they sound like fixed horizons, and are none
+    assert {claim.verdict for claim in unknown.values()} == {"not tested"}
+
+
+def test_equal_horizons_are_not_compared_with_each_other(traces: list[Trace]) -> None:
+    assert judged(made_up(), traces, {"fixed_0": 2.0, "fixed_6": 2.0})[8].verdict == "not tested"
+
+
+def test_a_single_episode_is_not_enough_to_tell(traces: list[Trace]) -> None:
+    found = judged(made_up().groupby(["planner", "setting"]).head(1), traces)
+    assert {found[number].verdict for number in (2, 3, 5, 6)} == {"undecided"}
+
+
+def test_claims_of_the_papers_settings_are_not_tested_in_others(traces: list[Trace]) -> None:
+    elsewhere = made_up().assign(setting="elsewhere")
+    found = judged(elsewhere, [replace(trace, family="elsewhere") for trace in traces])
+    assert {claim.verdict for claim in found.values()} == {"not tested"}
+
+
 def test_the_decisive_figure_is_the_clearest_against_the_claim_else_the_closest(traces: list[Trace]) -> None:
     drives = {name: dict(planners) for name, planners in DRIVES.items()}
     drives["push"] |= {"fixed_0": (8.0, 0, 9.0), "fixed_6": (9.0, 1, 12.0)}
@@ -121,5 +160,5 @@ def test_the_decisive_figure_is_the_clearest_against_the_claim_else_the_closest(
 
 def test_claims_are_plain_json(traces: list[Trace]) -> None:
     one_each = made_up().groupby(["planner", "setting"]).head(1)
-    text = json.dumps([claim.as_dict() for claim in judge_claims(one_each, traces)], allow_nan=False)
+    text = json.dumps([claim.as_dict() for claim in judge_claims(one_each, traces, FIXED_S)], allow_nan=False)
     assert json.loads(text)[0]["findings"][0]["low"] is not None

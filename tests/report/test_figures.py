@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from measured import FIXED_S
 
 from negopipe.evaluation.metrics import behaviour_index
 from negopipe.evaluation.trace import OUTCOMES, Trace
@@ -17,15 +18,15 @@ from negopipe.report import figures, outcome_figures
 Draw = Callable[[list[Trace], pd.DataFrame, pd.DataFrame], Figure]
 
 DRAWINGS: dict[str, Draw] = {
-    "comparison": lambda traces, table, history: figures.comparison(table),
-    "outcomes": lambda traces, table, history: outcome_figures.outcomes(table),
-    "success_by_style": lambda traces, table, history: outcome_figures.success_by_style(table),
-    "arrivals": lambda traces, table, history: outcome_figures.arrivals(table),
+    "comparison": lambda traces, table, history: figures.comparison(table, FIXED_S),
+    "outcomes": lambda traces, table, history: outcome_figures.outcomes(table, FIXED_S),
+    "success_by_style": lambda traces, table, history: outcome_figures.success_by_style(table, FIXED_S),
+    "arrivals": lambda traces, table, history: outcome_figures.arrivals(table, FIXED_S),
     "outcome_map": lambda traces, table, history: outcome_figures.outcome_map(table, "Yield", [(12.2, 12.6)]),
-    "behaviour": lambda traces, table, history: figures.behaviour(traces),
+    "behaviour": lambda traces, table, history: figures.behaviour(traces, FIXED_S),
     "horizons": lambda traces, table, history: figures.horizons(traces),
     "horizons_along": lambda traces, table, history: figures.horizons_along(traces, 12.0),
-    "space_time": lambda traces, table, history: figures.space_time(traces[:5], 0, (-6.0, 6.0)),
+    "space_time": lambda traces, table, history: figures.space_time(traces[:5], 0, (-6.0, 6.0), FIXED_S),
     "training": lambda traces, table, history: figures.training(history),
 }
 
@@ -53,33 +54,36 @@ def test_the_same_data_give_the_same_bytes(
 
 
 def test_formats_are_what_they_are_called(table: pd.DataFrame) -> None:
-    figure = outcome_figures.outcomes(table)
+    figure = outcome_figures.outcomes(table, FIXED_S)
     assert figures.render(figure, "png").startswith(b"\x89PNG")
     assert figures.render(figure, "pdf").startswith(b"%PDF")
 
 
 def test_style_does_not_leak(table: pd.DataFrame) -> None:
     before = matplotlib.rcParams["svg.hashsalt"], matplotlib.rcParams["axes.spines.top"]
-    figures.render(outcome_figures.outcomes(table), "svg")
+    figures.render(outcome_figures.outcomes(table, FIXED_S), "svg")
     assert (matplotlib.rcParams["svg.hashsalt"], matplotlib.rcParams["axes.spines.top"]) == before
 
 
 def test_a_planner_keeps_its_colour_whoever_it_is_shown_with() -> None:
-    together = figures.planner_colors(["adaptive", "fixed_0", "random", "fixed_4", "level_k", "rule", "rule"])
+    together = figures.planner_colors(["adaptive", "fixed_0", "random", "fixed_4", "level_k", "rule", "rule"], FIXED_S)
     assert together["fixed_4"] == figures.horizon_color(4.0)
     for name in ("adaptive", "fixed_4", "level_k"):
-        assert figures.planner_colors([name]) == {name: together[name]}
+        assert figures.planner_colors([name], FIXED_S) == {name: together[name]}
     assert len(set(together.values())) == 6
 
 
-def test_a_planner_that_only_sounds_like_a_fixed_one_is_shown_too() -> None:
-    assert set(figures.planner_colors(["fixed_far", "fixed_2.5"])) == {"fixed_far", "fixed_2.5"}
-    assert figures.planner_label("fixed_far") == "fixed far"
-    assert figures.planner_label("fixed_2.5") == "fixed 2.5\N{NO-BREAK SPACE}s"
+def test_a_planners_name_tells_nothing_of_its_horizon() -> None:
+    fixed_s = {"bold": 0.0, "fixed_2": 6.0, "fixed_2.5": 2.5, "random": 4.0}
+    colors = figures.planner_colors([*fixed_s, "fixed_0"], fixed_s)
+    assert [colors[name] for name in fixed_s] == [figures.horizon_color(horizon_s) for horizon_s in fixed_s.values()]
+    assert colors["fixed_0"] not in [colors[name] for name in fixed_s]
+    labels = [figures.planner_label(name, fixed_s).replace("\N{NO-BREAK SPACE}", "~") for name in (*fixed_s, "fixed_0")]
+    assert labels == ["bold (0~s)", "fixed 2 (6~s)", "fixed 2.5~s", "random (4~s)", "fixed 0"]
 
 
 def test_comparison_prints_the_means(table: pd.DataFrame) -> None:
-    figure = figures.comparison(table)
+    figure = figures.comparison(table, FIXED_S)
     printed = [text.get_text() for text in figure.axes[2].texts]  # second row, first setting: driving time
     rows = table[table["setting"] == table["setting"].iloc[0]]
     means = rows.groupby("planner", sort=False)["driving_time_s"].mean()
@@ -89,7 +93,7 @@ def test_comparison_prints_the_means(table: pd.DataFrame) -> None:
 
 
 def test_bars_of_outcomes_are_the_shares(table: pd.DataFrame) -> None:
-    axis = outcome_figures.outcomes(table).axes[0]
+    axis = outcome_figures.outcomes(table, FIXED_S).axes[0]
     rows = table[table["setting"] == table["setting"].iloc[0]]
     for planner_row, planner in enumerate(rows["planner"].unique()):
         outcome = rows[rows["planner"] == planner]["outcome"]
@@ -98,7 +102,7 @@ def test_bars_of_outcomes_are_the_shares(table: pd.DataFrame) -> None:
 
 
 def test_arrival_curves_are_the_shares_by_time(table: pd.DataFrame) -> None:
-    figure = outcome_figures.arrivals(table)
+    figure = outcome_figures.arrivals(table, FIXED_S)
     setting = table["setting"].unique()[0]
     rows = table[(table["setting"] == setting) & (table["planner"] == "adaptive")]
     curve = next(line for line in figure.axes[0].lines if line.get_linewidth() > 2)
@@ -138,7 +142,7 @@ def test_training_maps_show_each_part_on_the_same_axes(driven: pd.DataFrame) -> 
 
 
 def test_behaviour_draws_the_median_index_in_degrees(traces: list[Trace]) -> None:
-    axis = figures.behaviour(traces).axes[0]
+    axis = figures.behaviour(traces, FIXED_S).axes[0]
     adaptive = next(line for line in axis.lines if to_hex(line.get_color()) == figures.ADAPTIVE_COLOR.lower())
     psi = np.degrees(behaviour_index(traces[0]))
     n_drawn = len(adaptive.get_ydata())
@@ -155,7 +159,7 @@ def test_horizons_fill_exactly_the_running_episodes(traces: list[Trace]) -> None
 
 
 def test_space_time_colours_the_ego_by_its_horizon(traces: list[Trace]) -> None:
-    figure = figures.space_time(traces[:5], 0, (-6.0, 6.0))
+    figure = figures.space_time(traces[:5], 0, (-6.0, 6.0), FIXED_S)
     for axis, trace in zip(figure.axes, traces[:5], strict=True):
         colors = [to_hex(color) for color in axis.collections[-1].get_colors()]
         horizon = trace.horizon_s[: trace.n_steps[0], 0, 0]
@@ -192,5 +196,5 @@ def test_horizons_along_the_road_are_shares_of_the_decisions_there(traces: list[
 
 
 def test_arrivals_are_drawn_where_there_are_none(table: pd.DataFrame) -> None:
-    figure = outcome_figures.arrivals(table.assign(ego_time_s=np.nan))
+    figure = outcome_figures.arrivals(table.assign(ego_time_s=np.nan), FIXED_S)
     assert all(line.get_ydata().max() == 0 for axis in figure.axes for line in axis.lines)

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from measured import measures, versus
+from measured import FIXED_S, measures, versus
 
 from negopipe.report.headlines import headline, headlines, standing
 
@@ -21,7 +21,7 @@ from negopipe.report.headlines import headline, headlines, standing
 )
 def test_headline_says_who_wins(theirs: dict[str, Any], verdict: str) -> None:
     planners = {"adaptive": measures(0.9, 0.1, 14.0), "fixed_2": measures(0.9, 0.1, 14.0)}
-    text, detail = headline("push", planners, {"fixed_2": theirs})
+    text, detail = headline("push", planners, {"fixed_2": theirs}, FIXED_S)
     assert text.startswith("Push: the adaptive planner")
     assert verdict in text.replace("\N{NO-BREAK SPACE}", " ")
     assert "90.0 % success" in detail
@@ -33,16 +33,16 @@ def test_one_task_says_nothing() -> None:
     for difference in unknown.values():
         difference |= {"low": None, "high": None, "n_tasks": 1}
     planners = {"adaptive": measures(1.0, 0.0, 14.0, n=1), "fixed_2": measures(0.0, 1.0, 14.0, n=1)}
-    assert "beats" not in headline("push", planners, {"fixed_2": unknown})[0]
+    assert "beats" not in headline("push", planners, {"fixed_2": unknown}, FIXED_S)[0]
 
 
 def test_headline_names_the_best_rival_and_does_without_one() -> None:
     rivals = {"fixed_0": measures(0.1, 0.9, 8.0), "fixed_6": measures(0.6, 0.0, 15.0)}
     differences = {"fixed_0": versus(-0.8), "fixed_6": versus(-0.3)}
-    text, detail = headline("yield", {"adaptive": measures(0.9, 0.1, 14.0), **rivals}, differences)
+    text, detail = headline("yield", {"adaptive": measures(0.9, 0.1, 14.0), **rivals}, differences, FIXED_S)
     assert "fixed 6" in text
     assert "15.0 s" in detail
-    alone, _ = headline("yield", {"adaptive": measures(0.9, 0.1, None)}, {})
+    alone, _ = headline("yield", {"adaptive": measures(0.9, 0.1, None)}, {}, FIXED_S)
     assert "never arrives" in alone
 
 
@@ -50,7 +50,7 @@ def test_the_oracle_is_nobodys_rival_and_may_have_driven_in_one_setting_only() -
     planners = {"adaptive": measures(0.9, 0.0, 14.0), "fixed_6": measures(0.2, 0.0, 15.0)}
     evaluation = {"yield": planners, "push": {**planners, "oracle": measures(1.0, 0.0, 12.0)}}
     differences = {"fixed_6": versus(-0.7), "oracle": versus(0.1)}
-    verdicts = headlines(evaluation, dict.fromkeys(evaluation, differences))
+    verdicts = headlines(evaluation, dict.fromkeys(evaluation, differences), FIXED_S)
     assert len(verdicts) == 3
     assert all("fixed 6" in verdict and "oracle" not in verdict for verdict, _ in verdicts)
     assert standing(evaluation, dict.fromkeys(evaluation, differences)) == "ahead"
@@ -73,18 +73,18 @@ def test_first_headline_is_about_all_settings() -> None:
         "yield": {"fixed_0": versus(-0.97), "fixed_6": versus(0.03)},
         "push": {"fixed_0": versus(0.0), "fixed_6": versus(-0.9)},
     }
-    (verdict, detail), *others = headlines(evaluation, differences)
+    (verdict, detail), *others = headlines(evaluation, differences, FIXED_S)
     assert "succeeds more reliably than fixed 6" in verdict
     detail = detail.replace("\N{NO-BREAK SPACE}", " ")
     assert "weakest, adaptive succeeds in 97.0 % of the episodes of yield; fixed 6 s succeeds in 10.0 %" in detail
     assert [verdict.split(":")[0] for verdict, _ in others] == ["Yield", "Push"]
     evaluation["push"]["fixed_6"] = measures(0.95, 0.0, 15.0)
-    level, rewards = headlines(evaluation, differences)[0]
+    level, rewards = headlines(evaluation, differences, FIXED_S)[0]
     assert "succeeds as reliably as fixed 6" in level
     assert rewards.endswith("Reward: 4.70 against 5.00 (yield), 5.00 against 4.50 (push).")
     evaluation["yield"]["adaptive"] = measures(0.5, 0.0, 14.0)
-    assert "succeeds less reliably than fixed 6" in headlines(evaluation, differences)[0][0]
-    assert len(headlines({"yield": evaluation["yield"]}, differences)) == 1
+    assert "succeeds less reliably than fixed 6" in headlines(evaluation, differences, FIXED_S)[0][0]
+    assert len(headlines({"yield": evaluation["yield"]}, differences, FIXED_S)) == 1
 
 
 @pytest.mark.parametrize(
@@ -102,6 +102,6 @@ def test_two_that_are_weakest_in_the_same_setting_are_compared_on_its_tasks(
 @pytest.mark.parametrize(("success", "said"), [(-0.4, "reward is 4.00 [3.00, 5.00] higher"), (0.4, "lower"), (0.0, "")])
 def test_the_difference_in_reward_is_told_where_there_is_one(success: float, said: str) -> None:
     planners = {"adaptive": measures(0.9, 0.1, 14.0), "fixed_2": measures(0.9, 0.1, 14.0)}
-    detail = headline("push", planners, {"fixed_2": versus(success)})[1]
+    detail = headline("push", planners, {"fixed_2": versus(success)}, FIXED_S)[1]
     assert said in detail
     assert ("planner's reward is" in detail) == bool(said)

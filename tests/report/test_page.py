@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from measured import measures, versus
+from measured import FIXED_S, measures, versus
 from pydantic import TypeAdapter, ValidationError
 
 from negopipe.evaluation.claims import Claim, Finding
@@ -54,8 +54,8 @@ def make_page(name: str = "yield", results: Results = RESULTS) -> str:
     exhibits = [Exhibit("A figure", "Upwards is <good>.", SVG), Exhibit("A film", "Left is left.", PNG, PNG)]
     sections = [Section("First part", "What it shows.", exhibits), Section("Second part", "", [])]
     provenance = Provenance("python -m negopipe +experiment=yield", 7, "seed: 7\n", {"torch": "2.13.0"})
-    verdicts = headlines(results.evaluation, results.versus)
-    return build_page(name, verdicts, chapters(results), [CLAIM], sections, provenance)
+    verdicts = headlines(results.evaluation, results.versus, FIXED_S)
+    return build_page(name, verdicts, chapters(results, FIXED_S), [CLAIM], sections, provenance)
 
 
 def test_page_holds_everything() -> None:

@@ -12,14 +12,18 @@ import pandas as pd
 import pytest
 import yaml
 from browser import BROWSER, in_browser
+from measured import FIXED_S
 from pydantic import TypeAdapter
 from tracked import RecordedRun
 
 from negopipe.errors import UserError
+from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP
 from negopipe.evaluation.comparison import regret, versus_adaptive
+from negopipe.evaluation.episodes_file import EPISODES
 from negopipe.evaluation.metrics import summary
 from negopipe.evaluation.replay import Insight
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
+from negopipe.report import figures
 from negopipe.report.page import ReportConfig
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
@@ -29,16 +33,17 @@ CONF = Path(__file__).resolve().parents[2] / "conf"
 
 
 class Evaluation:
-    leading_setting = "push"
+    leading_setting, fixed_horizons_s = "push", FIXED_S
 
 
 class Config:
     """Stands for the root config, as far as the stage reads it."""
 
-    name, seed, runs, evaluation = "push", 3, None, Evaluation()
+    name, seed, runs = "push", 3, None
     curriculum = SimpleNamespace(stages=[SimpleNamespace(families={})])
     scenario: ScenarioConfig
     report: ReportConfig
+    evaluation: Any = Evaluation()
 
     def __init__(self, **changed: Any) -> None:
         scenario = yaml.safe_load((CONF / "scenario" / "narrow_lane.yaml").read_text())
@@ -59,14 +64,20 @@ def table(table: pd.DataFrame) -> pd.DataFrame:
 def run(
     tmp_path: Path, traces: list[Trace], table: pd.DataFrame, history: pd.DataFrame, driven: pd.DataFrame
 ) -> RecordedRun:
-    save_traces(tmp_path / "traces.npz", [trace for trace in traces if trace.planner in PLANNERS])
-    table.to_csv(tmp_path / "episodes.csv", index=False)
+    run = RecordedRun(tmp_path)
+    evaluated(run, table, [trace for trace in traces if trace.planner in PLANNERS])
     history.to_csv(tmp_path / "history.csv", index=False)
     driven.to_csv(tmp_path / "training_episodes.csv", index=False)
-    measured = summary(table) | versus_adaptive(table) | regret(table)
-    (tmp_path / "metrics.json").write_text(json.dumps(measured, sort_keys=True))
     (tmp_path / "config.yaml").write_text("name: push\nseed: 3\n")
-    return RecordedRun(tmp_path)
+    return run
+
+
+def evaluated(run: RecordedRun, table: pd.DataFrame, traces: list[Trace]) -> None:
+    """What the stage `evaluate` leaves."""
+    save_traces(run.folder / "traces.npz", traces)
+    table.to_csv(run.folder / "episodes.csv", index=False)
+    measured = summary(table) | versus_adaptive(table) | regret(table)
+    (run.folder / "metrics.json").write_text(json.dumps(measured, sort_keys=True))
 
 
 def seen(traces: dict[str, list[Trace]]) -> dict[str, dict[int, Insight]]:
@@ -126,6 +137,46 @@ def test_a_planner_may_have_driven_the_first_tasks_only(
     assert max(shown) < 3
 
 
+CASES: list[tuple[str, dict[str, tuple[str, float | None]]]] = [
+    ("push", {}),
+    ("push", {"fixed_6": ("fixed_6", 6.0)}),
+    ("None", {"fixed_0": ("fixed_short", 0.0)}),
+    ("12", {"fixed_0": ("nan", 0.0), "fixed_6": ("NA", None)}),
+    ("push", {"fixed_0": ("12", 0.0), "fixed_6": ("fixed_2", 6.0)}),
+]
+"""A setting; which planner is there, what it is called, and the horizon that it keeps to, if any."""
+
+
+@pytest.mark.parametrize(("setting", "planners"), CASES)
+def test_any_planners_of_any_name_make_a_report(
+    run: RecordedRun, traces: list[Trace], table: pd.DataFrame, setting: str, planners: dict
+) -> None:
+    """In one setting of one episode."""
+    (run.folder / "history.csv").unlink()
+    called = {"adaptive": "adaptive"} | {planner: name for planner, (name, _) in planners.items()}
+    own = table[(table["setting"] == "push") & (table["episode"] == 0) & table["planner"].isin(called)]
+    own = own.assign(planner=own["planner"].map(called), setting=setting)
+    evaluated(
+        run,
+        own,
+        [
+            replace(trace.first(1), planner=called[trace.planner], family=setting)
+            for trace in traces
+            if trace.family == "push" and trace.planner in called
+        ],
+    )
+    config = Config(side_by_side=tuple(name for name, _ in planners.values()), animation_fps=1)
+    fixed_s = {name: horizon_s for name, horizon_s in planners.values() if horizon_s is not None}
+    config.evaluation = SimpleNamespace(leading_setting=setting, fixed_horizons_s=fixed_s)
+    report.run(config, run)
+    page = (run.folder / "report.html").read_text()
+    labels = [figures.planner_label(name, fixed_s) for name, _ in planners.values()]
+    assert all(f"{label}</th>" in page for label in labels), labels
+    claims = json.loads((run.folder / "claims.json").read_text())
+    if setting != "push" or not fixed_s:
+        assert {claim["verdict"] for claim in claims} == {"not tested"}
+
+
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
 def test_a_browser_shows_it_all_without_errors_or_scrolling_sideways(run: RecordedRun) -> None:
     report.run(Config(animation_fps=1, side_by_side=("fixed_0",)), run)
@@ -151,10 +202,10 @@ def test_what_is_shown_depends_on_what_there_is(run: RecordedRun, table: pd.Data
     varied = table.assign(style_horizon_s=table["episode"].mod(2) * 6.0)
     varied.to_csv(run.folder / "episodes.csv", index=False)
     (run.folder / "history.csv").unlink()
+    unseen = dict.fromkeys(BEHAVIOUR_MAP.columns, 0) | {"setting": "push", "n_episodes": 1}
     cells = [
-        {"setting": "push", "ego_horizon_s": horizon, "social_style_s": 0.0, "success_rate": 1.0, "collision_rate": 0.0}
-        | {"deadlock_rate": 0.0, "other_timeout_rate": 0.0, "social_collision_rate": 0.0}
-        | {"ego_passes_first_rate": 1.0, "smallest_gap_m": horizon}
+        unseen
+        | {"ego_horizon_s": horizon, "success_rate": 1.0, "ego_passes_first_rate": 1.0, "smallest_gap_m": horizon}
         for horizon in (0.0, 6.0)
     ]
     pd.DataFrame(cells).to_csv(run.folder / "behaviour_map.csv", index=False)
@@ -165,6 +216,25 @@ def test_what_is_shown_depends_on_what_there_is(run: RecordedRun, table: pd.Data
     assert "Coming closer: holds in 1 of 1 (push against 0 s)" in page
     assert "was not trained in this run" in page
     assert "Learning curves" not in page
+
+
+def test_the_kind_of_the_file_knows_all_that_is_measured(table: pd.DataFrame) -> None:
+    assert list(EPISODES.columns) == list(table.columns)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "line"),
+    [
+        ("episodes.csv", "planner,setting\nadaptive,push\n", "must have a column episode as the stage `evaluate`"),
+        ("history.csv", "decisions,stage\nmany,full\n", "column decisions, row 1: must hold whole numbers, got many"),
+        ("training_episodes.csv", "", "must be a table as the stage `train` writes it, got an empty file"),
+        ("behaviour_map.csv", "setting\npush\n", "must have a column ego_horizon_s as the stage `behaviour_map`"),
+    ],
+)
+def test_a_damaged_file_is_named(run: RecordedRun, name: str, text: str, line: str) -> None:
+    (run.folder / name).write_text(text)
+    with pytest.raises(UserError, match=re.escape(f"{run.folder / name}: {line}")):
+        report.run(Config(), run)
 
 
 @pytest.mark.parametrize("name", ["metrics.json", "episodes.csv", "traces.npz"])

@@ -1,6 +1,6 @@
 """Tables: a row per planner, units, intervals, and the best number of a column."""
 
-from measured import measures, versus
+from measured import FIXED_S, measures, versus
 
 from negopipe.report.tables import Cell, n_episodes, tables
 
@@ -10,7 +10,7 @@ REGRET = (("adaptive", 0.5), ("fixed_0", 5.75))
 
 
 def test_rates_have_intervals_and_the_best_is_marked() -> None:
-    ended, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)}, {})
+    ended, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)}, {}, FIXED_S)
     assert ended.columns[0] == "success [%]"
     adaptive, fixed = ended.rows
     assert adaptive.label == "adaptive"
@@ -21,24 +21,24 @@ def test_rates_have_intervals_and_the_best_is_marked() -> None:
 
 
 def test_what_there_is_none_of_is_none() -> None:
-    _, drove, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)}, {})
+    _, drove, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)}, {}, FIXED_S)
     column = drove.columns.index("time of arrivals [s]")
     assert [row.cells[column].text for row in drove.rows] == ["14.0", "none"]
     assert not any(cell.is_best for row in drove.rows for cell in row.cells)
 
 
 def test_differences_carry_their_sign_and_interval() -> None:
-    *_, compared = tables(MEASURES, {"fixed_0": versus(-0.9)}, {})
+    *_, compared = tables(MEASURES, {"fixed_0": versus(-0.9)}, {}, FIXED_S)
     success, time, _ = compared.rows[0].cells
     minus = "\N{MINUS SIGN}"
     assert success == Cell(f"{minus}90.0", f"{minus}95.0 to {minus}85.0")
     assert (time.text, time.interval) == ("none", "")
-    assert len(tables({"adaptive": MEASURES["adaptive"]}, {}, {})) == 3
+    assert len(tables({"adaptive": MEASURES["adaptive"]}, {}, {}, FIXED_S)) == 3
 
 
 def test_what_is_lacking_to_the_oracle_is_shown_where_it_drove() -> None:
     lacking = {name: {"value": value, "low": value - 0.1, "high": value + 0.1, "n_tasks": 64} for name, value in REGRET}
-    *_, regret = tables(MEASURES, {}, lacking)
+    *_, regret = tables(MEASURES, {}, lacking, FIXED_S)
     adaptive, fixed = regret.rows
     assert adaptive.cells == [Cell("0.50", "0.40 to 0.60", True), Cell("64")]
     assert fixed.cells[0] == Cell("5.75", "5.65 to 5.85", False)
@@ -46,12 +46,12 @@ def test_what_is_lacking_to_the_oracle_is_shown_where_it_drove() -> None:
 
 def test_equal_numbers_are_not_marked() -> None:
     ended, *_ = tables(
-        {"adaptive": measures(1.0, 0.0, 8.0), "fixed_0": measures(1.0, 0.0, 9.0)}, {"fixed_0": versus(0)}, {}
+        {"adaptive": measures(1.0, 0.0, 8.0), "fixed_0": measures(1.0, 0.0, 9.0)}, {"fixed_0": versus(0)}, {}, FIXED_S
     )
     assert not any(row.cells[0].is_best for row in ended.rows)
 
 
 def test_who_drove_fewer_is_named() -> None:
-    assert n_episodes(MEASURES) == "100 episodes each"
+    assert n_episodes(MEASURES, FIXED_S) == "100 episodes each"
     few = MEASURES | {"level_k": measures(1.0, 0.0, 9.0, n=8)}
-    assert n_episodes(few) == "100 episodes each (level k 8, the first ones)"
+    assert n_episodes(few, FIXED_S) == "100 episodes each (level k 8, the first ones)"

@@ -99,7 +99,7 @@ def test_an_oracle_that_is_none_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"evaluation\.oracle must be pretrained or an oracle\.csv .* no such file"):
         read_oracle(str(tmp_path / "oracle.csv"))
     (tmp_path / "oracle.csv").write_text("setting,episode\npush,0\n")
-    with pytest.raises(UserError, match="with a column horizons"):
+    with pytest.raises(UserError, match=r"with horizons: .*must have a column horizons"):
         read_oracle(str(tmp_path / "oracle.csv"))
 
 
@@ -154,7 +154,7 @@ def test_a_search_that_is_stopped_goes_on_with_the_setting_it_was_at(
         if searched == ["push", "mixture"]:
             raise KeyboardInterrupt
         part.parent.mkdir(exist_ok=True)
-        part.write_text(f"setting,reward,time\n{setting},0.1,\n{setting},-1e-17,2\n")
+        part.write_text(f"setting,reward,ego_time_s\n{setting},0.1,\n{setting},-1e-17,2\n")
 
     monkeypatch.setattr(oracle, "_search", mortal)
     run = RecordedRun(tmp_path)
@@ -163,7 +163,7 @@ def test_a_search_that_is_stopped_goes_on_with_the_setting_it_was_at(
     oracle.run(tiny(), run)  # type: ignore[arg-type]
     assert searched == ["push", "mixture", "mixture"]
     rows = "push,0.1,\npush,-1e-17,2\nmixture,0.1,\nmixture,-1e-17,2\n"
-    assert (tmp_path / "oracle.csv").read_text() == f"setting,reward,time\n{rows}"
+    assert (tmp_path / "oracle.csv").read_text() == f"setting,reward,ego_time_s\n{rows}"
     assert not (tmp_path / "oracle").exists()
 
 

@@ -158,3 +158,28 @@ def test_an_episode_that_was_not_evaluated_is_named(outputs: Path) -> None:
     (line,) = done.stderr.splitlines()
     assert "a setting of push, yield" in line
     assert "a number below 4, got push/fixed_2/4" in line
+
+
+@pytest.mark.slow
+def test_names_that_look_like_values_stay_names(outputs: Path, tmp_path: Path) -> None:
+    short = {"kind": "fixed", "n_episodes": "null", "horizon_s": "0.0"}
+    done = negopipe(
+        *(
+            "+experiment=smoke",
+            f"outputs={tmp_path}",
+            "n_threads=1",
+            f"checkpoint={only_run(outputs)}/checkpoint.safetensors",
+        ),
+        *(f"+scenario.families.{name}=${{scenario.families.push}}" for name in ("NA", "12")),
+        *("evaluation/rival=[]", *(f"+evaluation.rivals.nan.{key}={value}" for key, value in short.items())),
+        *('evaluation.settings=[NA,"12"]', "evaluation.leading_setting=NA", 'report.side_by_side=["nan"]'),
+        *("stages=[evaluate,behaviour_map,report,replay]", "episode=12/nan/1"),
+        *("behaviour_map.n_episodes=2", "behaviour_map.horizons_s=[0,6]", "report.animation_fps=2"),
+    )
+    assert done.returncode == 0, done.stderr
+    folder = only_run(tmp_path)
+    metrics = json.loads((folder / "metrics.json").read_text())["evaluation"]
+    assert set(metrics) == {"NA", "12"}
+    assert all(set(planners) == {"adaptive", "nan"} for planners in metrics.values())
+    assert (folder / "report.html").is_file()
+    assert (folder / "replays" / "12_nan_1.gif").is_file()

@@ -70,8 +70,8 @@ def test_the_figure_can_be_drawn_again_from_its_table(folder: Path, capsys: pyte
     assert (target / "learning_curves.png").read_bytes() == drawn
     table.drop(columns="seed").to_csv(target / "other.csv", index=False)
     assert main([str(target / "other.csv")]) == 1
-    assert "a table of learning curves has a column seed" in capsys.readouterr().err
+    assert "other.csv: must have a column seed" in capsys.readouterr().err
     assert main([str(target / "none.csv")]) == 1
-    assert "no table of learning curves" in capsys.readouterr().err
+    assert "none.csv: no such file" in capsys.readouterr().err
     assert main([str(folder)]) == 1
     assert "--by must be keys of the config" in capsys.readouterr().err

@@ -65,6 +65,18 @@ def test_the_better_config_is_named_with_how_likely_it_is_better(outputs: Path) 
     assert each.rows[0].cells[0].interval
 
 
+def test_a_config_may_have_driven_settings_of_its_own(outputs: Path) -> None:
+    episodes = read_groups(group(find_runs(outputs, "yield")))
+    is_first = episodes["group"] == "algorithm.rate=0.1"
+    apart = episodes.assign(setting=np.where(is_first, "push", "mixture"))
+    verdicts, chapters = compare(apart)
+    assert [verdict for verdict, _ in verdicts] == [
+        "Push: algorithm.rate=0.1, 3 seeds.",
+        "Mixture: algorithm.rate=0.2, 3 seeds.",
+    ]
+    assert [len(chapter.tables[0].rows) for chapter in chapters] == [1, 1]
+
+
 def stages(*n_iterations: int) -> dict:
     return {"stages": [{"name": f"stage {i}", "n_iterations": n} for i, n in enumerate(n_iterations)]}
 

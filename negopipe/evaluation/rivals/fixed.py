@@ -21,5 +21,9 @@ class Config(Rival):
     def horizons_s(self) -> tuple[float, ...]:
         return (self.horizon_s,)
 
+    @property
+    def fixed_horizon_s(self) -> float:
+        return self.horizon_s
+
     def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
         return HorizonDriver(fixed_horizon(self.horizon_s), game.plan)

@@ -1,0 +1,102 @@
+"""The scripts of jobs/: each can be loaded, does what it says at small size, and refers to what there is."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+import yaml
+from scripts import JOBS, load_script
+
+from negopipe.stages.oracle_table import ORACLE_TABLE
+from negopipe.tracking import pretrained
+from negopipe.tracking.checkpoint import load_checkpoint
+from negopipe.tracking.csv_file import read_csv, write_csv
+
+ROOT = JOBS.parent
+WITH_REFERENCES = [
+    *sorted(path for path in JOBS.glob("*.*") if path.suffix in (".py", ".sh", ".md")),
+    *(ROOT / name for name in ("README.md", "Makefile", "jobs/results/README.md", "outputs/README.md")),
+    *sorted((ROOT / "conf").rglob("*.yaml")),
+    *sorted((ROOT / "negopipe").rglob("*.py")),
+]
+FILE = re.compile(r"(?<![\w/.>])(?:jobs|conf|negopipe|tests|docs)/[\w/.-]*\.(?:py|sh|md|yaml|csv|png|gif)")
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in JOBS.glob("*.py")))
+def test_a_script_can_be_loaded(name: str) -> None:
+    assert load_script(name).__doc__
+
+
+@pytest.mark.parametrize("path", WITH_REFERENCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_is_referred_to_is_there(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert {name for name in FILE.findall(text) if not (ROOT / name).exists()} == set()
+    experiments = set(re.findall(r"\+experiment=(\w+)", text))
+    assert {name for name in experiments if not (ROOT / "conf" / "experiment" / f"{name}.yaml").exists()} == set()
+    modules = set(re.findall(r"python -m (negopipe[\w.]*)", text))
+    assert {module for module in modules if importlib.util.find_spec(module) is None} == set()
+
+
+def test_every_script_has_its_row() -> None:
+    rows = re.findall(r"^\| `([\w.]+)` \|", (JOBS / "README.md").read_text(encoding="utf-8"), flags=re.M)
+    told = {path.name for path in JOBS.glob("*.*") if path.suffix in (".py", ".sh")}
+    assert set(rows) == told - {"scenario_study.py"}  # of which scenario_study.sh makes use
+
+
+def test_first_glance_on_what_comes_with_negopipe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = read_csv(pretrained.find_oracle("pretrained"), ORACLE_TABLE)
+    few = table[table["setting"].isin(["push", "mixture"]) & (table["episode"] < 3)]
+    write_csv(tmp_path / "oracle.csv", few, ORACLE_TABLE)
+    load_script("first_glance").main(tmp_path / "oracle.csv", is_compiled=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["push", "mixture"]
+    for line, (_, rows) in zip(lines, few.groupby("setting", sort=False), strict=True):
+        best, per_group, for_all = map(float, re.findall(r"-?\d+\.\d\d", line))
+        assert best == pytest.approx(rows["reward"].mean(), abs=0.01)
+        assert 0 <= per_group <= for_all
+
+
+def road(folder: Path, length_m: float, succeeds: list[list[bool]], oracle: bool) -> None:
+    """A run of the study; `succeeds`: of each fixed horizon, against each style."""
+    styles = [0.0, 2.0, 4.0, 6.0]
+    won = {True: "success", False: "deadlock"}
+    rows = {"setting": "mixture", "episode": range(4), "style_horizon_s": styles, "outcome": won[oracle]}
+    rows |= {f"fixed_{2 * i}_outcome": [won[one] for one in each] for i, each in enumerate(succeeds)}
+    table = pd.DataFrame(rows)
+    write_csv(folder / "oracle.csv", pd.concat([table, table.assign(setting="yield")]), ORACLE_TABLE)
+    sizes = {"corridor_length_m": length_m, "corridor_gap_m": 3.2, "swerve_length_m": 12.0}
+    config = {"scenario": {"road": sizes, "desired_speed_mps": [6.0, 6.0]}}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+
+
+def test_scenario_study_picks_by_its_rule(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = load_script("scenario_study")
+    assert study.main(tmp_path) == 1
+    assert "must hold runs of +experiment=scenario_study" in capsys.readouterr().err
+    half = [[False, False, True, True]] * 4
+    road(tmp_path / "easy", 10.0, [[True] * 4] * 4, oracle=True)
+    road(tmp_path / "hard", 12.0, half, oracle=True)
+    road(tmp_path / "hopeless", 18.0, [[False] * 4] * 4, oracle=False)
+    assert study.main(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "pick, one of 1 in which the best fixed horizon does worst: {'corridor_m': 12.0" in said
+    assert "while a sequence does: 0 of 3" in said
+
+
+def test_a_shipped_policy_is_the_checkpoint_with_its_encoder_rounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = pretrained.FOLDER / "yield.safetensors"
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "pretrained")
+    path = load_script("ship_policy").ship(source, "other")
+    assert pretrained.names() == ["other"]
+    tensors, metadata = load_checkpoint(path)
+    original, of_original = load_checkpoint(source)
+    assert metadata == of_original
+    assert {str(x.dtype) for key, x in tensors.items() if key.startswith("encoder.")} == {"torch.bfloat16"}
+    for key, values in tensors.items():
+        is_rounded = values.dtype == torch.bfloat16
+        assert torch.equal(values, original[key].bfloat16() if is_rounded else original[key])
