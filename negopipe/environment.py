@@ -1,7 +1,7 @@
 """What the machine says of itself: environment variables, of which an empty one is an unset one, and the user's home.
 
-Importing this lets conf/ ask for both: `${negopipe.env:NAME}` is the variable's value or null, `${negopipe.home:path}`
-is the path with `~` replaced.
+Importing this lets conf/ ask for both: `${negopipe.variable:NAME}` is the variable's value or null,
+`${negopipe.home:path}` is the path with `~` replaced.
 """
 
 import os
@@ -33,5 +33,5 @@ def expanded(path: str) -> str:
     return full
 
 
-OmegaConf.register_new_resolver("negopipe.env", variable, replace=True)
+OmegaConf.register_new_resolver("negopipe.variable", variable, replace=True)
 OmegaConf.register_new_resolver("negopipe.home", lambda path: os.path.expanduser(str(path)), replace=True)
