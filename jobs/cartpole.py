@@ -31,13 +31,13 @@ import torch
 from hydra.errors import HydraException
 from torch import Tensor, nn
 
-from negopipe.config_errors import explain_composition
+from negopipe.config.messages import explain_composition
+from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.gym_env import compose_config
 from negopipe.learning.learner import AnyAlgorithmConfig, Learner
 from negopipe.learning.rollout import RunningEpisodes, Transition, collect
 from negopipe.policy.actor_critic import ActorCritic, greedy_action, mlp, sample_action
-from negopipe.seeding import generator
+from negopipe.tensors.seeding import generator
 from negopipe.tracking.csv_file import CsvKind, write_csv
 
 # ACKTR is shown as it stands in conf/ but for smaller batches, as 150,000 steps are few: its steps are measured in nat,

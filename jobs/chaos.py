@@ -36,7 +36,7 @@ DURATIONS = ("wall_s", "decisions_per_s", "tracking_share")
 
 
 def load_code() -> None:
-    for module in ("negopipe.stages.train", "negopipe.config", "mlflow", "mlflow.store.tracking.sqlalchemy_store"):
+    for module in ("negopipe.stages.train", "negopipe.config.root", "mlflow", "mlflow.store.tracking.sqlalchemy_store"):
         importlib.import_module(module)
     importlib.import_module("sqlalchemy.orm").configure_mappers()
 

@@ -21,7 +21,7 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from negopipe.stages.oracle_table import ORACLE_TABLE
+from negopipe.search.oracle_table import ORACLE_TABLE
 from negopipe.tracking.csv_file import read_csv
 
 HORIZONS_S = (0, 2, 4, 6)

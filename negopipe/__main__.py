@@ -29,8 +29,9 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from negopipe import CONF, environment, hydra_targets
-from negopipe.config_errors import LONGEST_LINE, explain_composition, misread, shown
+from negopipe import CONF, environment
+from negopipe.config import hydra_targets
+from negopipe.config.messages import LONGEST_LINE, explain_composition, misread, shown
 from negopipe.errors import UserError
 from negopipe.sweeping import optuna_sweeper
 
@@ -101,16 +102,16 @@ def pipeline(composed: DictConfig) -> float | None:
 
 def run_stages(composed: DictConfig) -> float | None:
     """Check the config, open its run and run its stages in order; returns the objective, None if there is none."""
-    from negopipe.config import RESULT_NEUTRAL, as_mapping, load, run_name
-    from negopipe.identity import source_hash, stage_key
-    from negopipe.stages import backend, network_choice
-    from negopipe.stages.reuse import take_over_training
+    from negopipe.config.root import RESULT_NEUTRAL, as_mapping, load, run_name
+    from negopipe.runtime import backend, network_choice
+    from negopipe.runtime.identity import source_hash, stage_key
     from negopipe.sweeping.objective import objective
     from negopipe.tracking.checkpoint import find_checkpoint
     from negopipe.tracking.dashboard import command_for
     from negopipe.tracking.metrics_file import read
     from negopipe.tracking.run_folder import METRICS_NAME
     from negopipe.tracking.store import open_run
+    from negopipe.training.reuse import take_over_training
 
     if HydraConfig.get().job.chdir:
         raise UserError(

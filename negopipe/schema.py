@@ -2,7 +2,7 @@
 
 A component's dataclass lives in the component's own file and has no defaults: every value is written once,
 in `conf/`. Unknown keys are refused, wrong types and values out of range raise a `pydantic.ValidationError`
-that `negopipe.config` turns into one line.
+that `negopipe.config.root` turns into one line.
 """
 
 from collections import Counter
@@ -25,7 +25,7 @@ FAR_M = 1000.0
 """Of any length on the road: the longest view."""
 
 N_MOST = 10**6
-"""Of any count. What some of them make together has a bound of its own, in `negopipe.config`."""
+"""Of any count. What some of them make together has a bound of its own, in `negopipe.config.root`."""
 
 
 @dataclass_transform(frozen_default=True)

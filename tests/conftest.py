@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from negopipe.config import RunConfig
-from negopipe.env import Game, build_game
-from negopipe.gym_env import compose_config
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import Game, build_game
 
 torch.set_num_threads(1)  # tests run in several processes; two threads each would only wait for one another
 

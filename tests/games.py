@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from negopipe.config import RunConfig
+from negopipe.config.root import RunConfig
 from negopipe.simulation.scenario import FamilyConfig, TaskSampler
 from negopipe.simulation.state import Task, VehicleState, World, map_tensors
 

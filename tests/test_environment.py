@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from negopipe import CONF, environment
-from negopipe.env import has_compiler
+from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.gym_env import compose_config
+from negopipe.game.environment import has_compiler
 from negopipe.tracking.database import connect
 
 ROOT = Path(__file__).parents[1]

@@ -3,13 +3,13 @@
 import pytest
 import torch
 
-from negopipe.config import RunConfig
-from negopipe.env import build_game
-from negopipe.gym_env import compose_config
-from negopipe.seeding import generator
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import build_game
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task
 from negopipe.stages.evaluate import held_out_tasks
+from negopipe.tensors.seeding import generator
 
 N = 4000
 NEAREST = 1

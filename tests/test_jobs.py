@@ -10,7 +10,7 @@ import torch
 import yaml
 from scripts import JOBS, load_script
 
-from negopipe.stages.oracle_table import ORACLE_TABLE
+from negopipe.search.oracle_table import ORACLE_TABLE
 from negopipe.tracking import pretrained
 from negopipe.tracking.checkpoint import load_checkpoint
 from negopipe.tracking.csv_file import read_csv, write_csv

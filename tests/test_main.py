@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 
 import negopipe.__main__ as entry
-from negopipe.config import RunConfig
-from negopipe.stages.interruption import AskedToStop
-from negopipe.stages.workers import side_by_side
+from negopipe.config.root import RunConfig
+from negopipe.runtime.interruption import AskedToStop
+from negopipe.runtime.workers import side_by_side
 from negopipe.tracking.store import TrackedRun
 
 Command = Callable[..., tuple[int, str, str]]
@@ -66,7 +66,7 @@ def statuses(outputs: Path) -> dict[str, str]:
 
 def test_help_names_the_experiments_and_needs_no_torch() -> None:
     code = "import sys, negopipe.__main__ as m; sys.argv = ['negopipe', '--help']\ntry: m.main()\n"
-    code += "except SystemExit: print({'torch', 'mlflow', 'negopipe.config'} & set(sys.modules))"
+    code += "except SystemExit: print({'torch', 'mlflow', 'negopipe.config.root'} & set(sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     experiments = [path.stem for path in (entry.CONF / "experiment").glob("*.yaml")]
     shown = re.search(r"^experiment: (.*)$", result.stdout, flags=re.MULTILINE)
@@ -257,7 +257,7 @@ def test_the_recorded_command_is_the_jobs_own(command: Command, monkeypatch: pyt
 
 FOUR_STARTS = """
 import json, os, signal, sys, time, types
-import mlflow.store.tracking.sqlalchemy_store, sqlalchemy.orm, negopipe.config, negopipe.__main__ as entry
+import mlflow.store.tracking.sqlalchemy_store, sqlalchemy.orm, negopipe.config.root, negopipe.__main__ as entry
 
 sqlalchemy.orm.configure_mappers()
 

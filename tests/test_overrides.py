@@ -32,12 +32,12 @@ from tracked import RecordedRun
 from yaml import YAMLError
 
 from negopipe import CONF
-from negopipe.config import RunConfig, load
-from negopipe.config_errors import explain_composition
+from negopipe.config.messages import explain_composition
+from negopipe.config.root import RunConfig, load
 from negopipe.errors import UserError
+from negopipe.runtime.build import save_policy
 from negopipe.simulation.state import World
 from negopipe.stages import behaviour_map, evaluate, oracle, report
-from negopipe.stages.setup import save_policy
 from negopipe.stages.train import Training
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 from negopipe.tracking.run_folder import CONFIG_NAME, METRICS_NAME

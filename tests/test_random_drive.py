@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from negopipe.env import NegotiationEnv, build_game, has_compiler
-from negopipe.gym_env import compose_config
-from negopipe.reward import RewardConfig
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import NegotiationEnv, build_game, has_compiler
+from negopipe.game.reward import RewardConfig
 from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.simulator import Simulator

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import negopipe
+from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.gym_env import compose_config
 from negopipe.stages.evaluate import checkpoint_of
 from negopipe.tracking.checkpoint import load_checkpoint
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 
+from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
+from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation import metrics
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import adaptive_planner, by_horizon
-from negopipe.gym_env import compose_config
+from negopipe.runtime.build import build, load_policy
 from negopipe.stages.evaluate import held_out_tasks
-from negopipe.stages.setup import build, load_policy
 from negopipe.tracking.checkpoint import find_checkpoint
 
 AT_LEAST = {"yield": {"push": 0.995, "yield": 0.995}, "mixture": {"mixture": 0.97}}

@@ -7,12 +7,12 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.driver import Driver, HorizonDriver, MakeDriver, drive_together, own_style
-from negopipe.env import Game
+from negopipe.agents.baselines import RivalConfig
+from negopipe.agents.driver import Driver, HorizonDriver, MakeDriver, drive_together, own_style
 from negopipe.evaluation.names import FixedHorizons
-from negopipe.evaluation.rivals import RivalConfig
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
-from negopipe.reward import RewardConfig, reward
+from negopipe.game.environment import Game
+from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, FileName, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, tree_where

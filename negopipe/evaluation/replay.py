@@ -7,13 +7,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from negopipe.driver import ChooseHorizon
-from negopipe.env import Game
+from negopipe.agents.driver import ChooseHorizon
+from negopipe.agents.horizon_drivers import by_horizon, sequence_planner
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import by_horizon, sequence_planner
 from negopipe.evaluation.trace import Trace
+from negopipe.game.environment import Game
+from negopipe.game.reward import RewardConfig
 from negopipe.policy.actor_critic import ActorCritic
-from negopipe.reward import RewardConfig
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.state import Task
 

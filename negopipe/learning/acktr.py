@@ -27,17 +27,10 @@ import torch
 from torch import Generator, Tensor
 
 from negopipe.learning.kfac import Kfac, KfacConfig, add_to_layer, fisher_loss
-from negopipe.learning.update import (
-    Decisions,
-    Outputs,
-    UpdateConfig,
-    differentiate,
-    measure_kl,
-    policy_gradient_loss,
-)
-from negopipe.nested import put_under, take_from
+from negopipe.learning.update import Decisions, Outputs, UpdateConfig, differentiate, measure_kl, policy_gradient_loss
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.schema import Fraction, PositiveFloat, schema
+from negopipe.tensors.prefixes import put_under, take_from
 
 
 @schema

@@ -11,9 +11,9 @@ from torch import Generator, Tensor
 from negopipe.learning.adam import AdamConfig, TwoRateAdam
 from negopipe.learning.kfac import Kfac, KfacConfig, fisher_loss
 from negopipe.learning.update import Decisions, UpdateConfig, differentiate, measure_kl, policy_gradient_loss
-from negopipe.nested import put_under, take_from
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.schema import schema
+from negopipe.tensors.prefixes import put_under, take_from
 
 
 @schema

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from negopipe.game.reward import RewardConfig
 from negopipe.learning.demonstrations import DemonstrationsConfig
-from negopipe.reward import RewardConfig
 from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
 from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.simulation.starts import check_starts

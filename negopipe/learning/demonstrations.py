@@ -23,7 +23,7 @@ from negopipe.schema import Fraction, PositiveFloat, PositiveInt, schema
 
 @schema
 class DemonstrationsConfig:
-    """What is demonstrated, found by a search that knows everything (`negopipe.evaluation.oracle`), and how long.
+    """What is demonstrated, found by a search that knows everything (`negopipe.search.oracle`), and how long.
 
     n_tasks: of each family of the last stage, drawn as training draws them
     population, rounds: of the search; as many rounds again take out switches that have no effect, so that decisions

@@ -18,8 +18,8 @@ from negopipe.learning.demonstrations import Demonstrations
 from negopipe.learning.ppo import PpoConfig, ppo
 from negopipe.learning.rollout import Rollout
 from negopipe.learning.update import Algorithm, Decisions, minibatches
-from negopipe.nested import put_under, take_from
 from negopipe.policy.actor_critic import ActorCritic
+from negopipe.tensors.prefixes import put_under, take_from
 
 AnyAlgorithmConfig = AcktrConfig | AcktrAdamConfig | A2cConfig | PpoConfig
 AlgorithmConfig = Annotated[AnyAlgorithmConfig, Field(discriminator="kind")]

@@ -18,7 +18,7 @@ from negopipe.simulation.geometry import Boxes
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import VehicleConfig
-from negopipe.stored import stored
+from negopipe.tensors.materialize import stored
 
 FAR_M = 1000.0
 """Where no grid reaches."""

@@ -22,7 +22,7 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import Motion, map_tensors
-from negopipe.stored import stored
+from negopipe.tensors.materialize import stored
 
 
 @schema

@@ -9,7 +9,7 @@ from torch import Tensor
 from negopipe.schema import PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.state import VehicleState
-from negopipe.stored import stored
+from negopipe.tensors.materialize import stored
 
 
 @schema

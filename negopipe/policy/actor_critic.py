@@ -37,7 +37,7 @@ class PolicyConfig:
     horizons_s: action i makes the ego predict `horizons_s[i]` seconds ahead
     precision: arithmetic of the encoder
     memory_format: order in which the encoder's weights and maps lie in memory
-    A run settles what `auto` stands for (`negopipe.stages.network_choice`); a policy that is built apart from a run
+    A run settles what `auto` stands for (`negopipe.runtime.network_choice`); a policy that is built apart from a run
     takes it for float32 and channels_last.
     """
 

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from negopipe.schema import Fraction, NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
-from negopipe.simulation.chance import mix, normals, uniform
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.state import VehicleState, World, map_tensors
+from negopipe.tensors.stateless_rng import mix, normals, uniform
 
 
 @schema

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from negopipe.schema import NonNegativeMetres, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import Boxes, smoothstep, wrap_angle
+from negopipe.simulation.off_road import beyond_kerbs
 from negopipe.simulation.reference_line import BendConfig, ReferenceLine, check_bends
 from negopipe.simulation.state import VehicleState
-from negopipe.simulation.verge import beyond_kerbs
 
 KERB_STEP_M = 0.5
 """Spacing of the points of a drawn kerb."""

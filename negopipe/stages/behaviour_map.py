@@ -8,24 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from negopipe.driver import fixed_horizon
-from negopipe.env import Game
+from negopipe.agents.driver import fixed_horizon
+from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, cell, claims, findings
 from negopipe.evaluation.episodes import decide_once, drive_episodes
 from negopipe.evaluation.names import fixed_name
-from negopipe.evaluation.planners import by_horizon
-from negopipe.report.behaviour_map import behaviour_map, reading
+from negopipe.game.environment import Game
 from negopipe.report.figures import render
-from negopipe.seeding import generator
+from negopipe.report.map_figure import behaviour_map, reading
+from negopipe.runtime.build import game_of
+from negopipe.runtime.progress import ProgressLine
+from negopipe.runtime.workers import n_processes, side_by_side
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import Task, map_tensors
-from negopipe.stages.progress import ProgressLine
-from negopipe.stages.setup import game_of
-from negopipe.stages.workers import n_processes, side_by_side
+from negopipe.tensors.seeding import generator
 from negopipe.tracking.csv_file import write_csv
 
 if TYPE_CHECKING:
-    from negopipe.config import RunConfig
+    from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")

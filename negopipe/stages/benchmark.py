@@ -21,11 +21,9 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from negopipe.driver import HorizonDriver
-from negopipe.env import Game, NegotiationEnv, build_game, has_compiler
-from negopipe.errors import UserError
-from negopipe.evaluation.planners import adaptive_planner
-from negopipe.evaluation.speed import (
+from negopipe.agents.driver import HorizonDriver
+from negopipe.agents.horizon_drivers import adaptive_planner
+from negopipe.benchmark.speed import (
     Backend,
     block_seconds,
     copy_gb_per_s,
@@ -34,17 +32,19 @@ from negopipe.evaluation.speed import (
     peak_memory_mb,
     seconds_per_call,
 )
-from negopipe.evaluation.workload import decision_workload
+from negopipe.benchmark.training_speed import measure_training
+from negopipe.benchmark.workload import decision_workload
+from negopipe.errors import UserError
+from negopipe.game.environment import Game, NegotiationEnv, build_game, has_compiler
 from negopipe.policy.actor_critic import grid_actor_critic
-from negopipe.seeding import generator
+from negopipe.runtime.backend import prepare
+from negopipe.runtime.progress import ProgressLine
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO
-from negopipe.stages.backend import prepare
-from negopipe.stages.progress import ProgressLine
-from negopipe.stages.training_speed import measure_training
+from negopipe.tensors.seeding import generator
 
 if TYPE_CHECKING:
-    from negopipe.config import RunConfig
+    from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")

@@ -9,32 +9,32 @@ from typing import TYPE_CHECKING
 import pandas as pd
 from torch import Tensor
 
-from negopipe.driver import HorizonDriver, MakeDriver
-from negopipe.env import Game
+from negopipe.agents.baseline import Rival
+from negopipe.agents.driver import HorizonDriver, MakeDriver
+from negopipe.agents.horizon_drivers import adaptive_planner
 from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes import decide_once, drive_episodes
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
-from negopipe.evaluation.planners import adaptive_planner
-from negopipe.evaluation.rival import Rival
 from negopipe.evaluation.safety import safety
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
+from negopipe.game.environment import Game
 from negopipe.policy.actor_critic import ActorCritic
-from negopipe.seeding import generator
+from negopipe.report.description import tell_how_it_went
+from negopipe.runtime.build import build, load_policy
+from negopipe.runtime.progress import ProgressLine
+from negopipe.runtime.workers import n_processes, side_by_side
+from negopipe.search.oracle_table import DOES_NOT_FIT, drive_oracle, read_oracle
 from negopipe.simulation.scenario import TaskSampler, pair_styles
 from negopipe.simulation.state import Task, map_tensors
-from negopipe.stages.description import tell_how_it_went
-from negopipe.stages.oracle_table import DOES_NOT_FIT, drive_oracle, read_oracle
-from negopipe.stages.progress import ProgressLine
-from negopipe.stages.setup import build, load_policy
-from negopipe.stages.workers import n_processes, side_by_side
-from negopipe.torch_settings import one_thread
+from negopipe.tensors.seeding import generator
+from negopipe.tensors.torch_settings import one_thread
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 from negopipe.tracking.csv_file import write_csv
 
 if TYPE_CHECKING:
-    from negopipe.config import RunConfig
+    from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")

@@ -9,25 +9,25 @@ import numpy as np
 import pandas as pd
 import torch
 
-from negopipe.driver import ChooseHorizon, fixed_horizon
-from negopipe.env import Game
+from negopipe.agents.driver import ChooseHorizon, fixed_horizon
+from negopipe.agents.horizon_drivers import by_horizon, sequence_planner
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes, running, summary
 from negopipe.evaluation.names import fixed_name
-from negopipe.evaluation.oracle import Rollouts, Sequences, best_simple, improve
-from negopipe.evaluation.planners import by_horizon, sequence_planner
 from negopipe.evaluation.trace import ORACLE, Trace
-from negopipe.seeding import generator
+from negopipe.game.environment import Game
+from negopipe.runtime.build import game_of
+from negopipe.runtime.progress import ProgressLine
+from negopipe.search.oracle import Rollouts, Sequences, best_simple, improve
+from negopipe.search.oracle_table import ORACLE_TABLE
 from negopipe.simulation.state import EGO, Task, map_tensors
 from negopipe.stages.evaluate import held_out_tasks
-from negopipe.stages.oracle_table import ORACLE_TABLE
-from negopipe.stages.progress import ProgressLine
-from negopipe.stages.setup import game_of
-from negopipe.torch_settings import one_thread
+from negopipe.tensors.seeding import generator
+from negopipe.tensors.torch_settings import one_thread
 from negopipe.tracking.csv_file import read_csv, write_csv
 
 if TYPE_CHECKING:
-    from negopipe.config import RunConfig
+    from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")

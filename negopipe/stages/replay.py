@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pandas as pd
 
-from negopipe.env import Game
 from negopipe.errors import UserError
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
-from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.replay import Insight, look_into, replay
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
+from negopipe.game.environment import Game
 from negopipe.report import animation
+from negopipe.runtime.build import build, load_policy
+from negopipe.search.horizon_text import from_text
 from negopipe.simulation.state import Task, map_tensors
 from negopipe.stages.evaluate import checkpoint_of, drive_rival, held_out_tasks, measure
 from negopipe.stages.report import make_scene
-from negopipe.stages.setup import build, load_policy
 from negopipe.tracking.csv_file import csv_text, parse_csv, read_csv
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from negopipe.config import RunConfig
+    from negopipe.config.root import RunConfig
     from negopipe.policy.actor_critic import ActorCritic
     from negopipe.tracking.store import TrackedRun
 

@@ -21,34 +21,26 @@ from negopipe.evaluation.replay import Insight, look_into
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.animation import Scene
-from negopipe.report.behaviour_map import behaviour_map as map_figure
-from negopipe.report.behaviour_map import reading as map_reading
 from negopipe.report.captions import NOT_TRAINED, WATCH, caption
 from negopipe.report.figures import planner_label, setting_label
 from negopipe.report.headlines import headlines
-from negopipe.report.page import (
-    Exhibit,
-    ReportConfig,
-    Results,
-    Section,
-    build_page,
-    chapters,
-    settings_in_order,
-)
+from negopipe.report.map_figure import behaviour_map as map_figure
+from negopipe.report.map_figure import reading as map_reading
+from negopipe.report.page import Exhibit, ReportConfig, Results, Section, build_page, chapters, settings_in_order
+from negopipe.report.provenance import provenance, write_claims
+from negopipe.runtime.build import build, load_policy
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import EGO, NEAREST, map_tensors
 from negopipe.stages import report_runs
 from negopipe.stages.behaviour_map import MAP_NAME
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
-from negopipe.stages.learning_curve import HISTORY, TRAINING_EPISODES
-from negopipe.stages.provenance import provenance, write_claims
-from negopipe.stages.setup import build, load_policy
 from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
+from negopipe.training.learning_curve import HISTORY, TRAINING_EPISODES
 
 if TYPE_CHECKING:
-    from negopipe.config import RunConfig
+    from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")

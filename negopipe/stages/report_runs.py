@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from negopipe.report.captions import caption
 from negopipe.report.figures import render
 from negopipe.report.page import Exhibit, Section, build_page
-from negopipe.stages.provenance import provenance, write_claims
+from negopipe.report.provenance import provenance, write_claims
 from negopipe.sweeping.comparison import (
     compare,
     curriculum_claim,
@@ -21,7 +21,7 @@ from negopipe.sweeping.learning_curves import learning_curves
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from negopipe.config import RunConfig
+    from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")

@@ -8,27 +8,27 @@ from typing import TYPE_CHECKING, NoReturn
 
 from torch import Tensor, nn
 
-from negopipe.env import NegotiationEnv
 from negopipe.errors import UserError
+from negopipe.game.environment import NegotiationEnv
 from negopipe.learning.curriculum import Curriculum
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import RunningEpisodes, collect
-from negopipe.nested import put_under, take_from
-from negopipe.seeding import generator
+from negopipe.report.description import what_it_is
+from negopipe.runtime.build import build, device_of, load_policy, save_policy
+from negopipe.runtime.interruption import AskedToStop
+from negopipe.runtime.progress import ProgressLine
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import named_tensors, with_tensors
-from negopipe.stages.demonstrations import demonstrations
-from negopipe.stages.description import what_it_is
-from negopipe.stages.interruption import AskedToStop
-from negopipe.stages.learning_curve import MEANS_OF_EPISODES, LearningCurve
-from negopipe.stages.progress import ProgressLine
-from negopipe.stages.setup import build, device_of, load_policy, save_policy
+from negopipe.tensors.prefixes import put_under, take_from
+from negopipe.tensors.seeding import generator
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME, HISTORY_NAME, SNAPSHOTS_NAME, TRAINING_EPISODES_NAME
 from negopipe.tracking.snapshots import Snapshots
+from negopipe.training.demonstration_search import demonstrations
+from negopipe.training.learning_curve import MEANS_OF_EPISODES, LearningCurve
 
 if TYPE_CHECKING:
-    from negopipe.config import RunConfig
+    from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")

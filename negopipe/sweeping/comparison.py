@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from negopipe.config import RESULT_NEUTRAL
+from negopipe.config.root import RESULT_NEUTRAL
 from negopipe.errors import UserError
 from negopipe.evaluation.claims import Claim, judge_curriculum
 from negopipe.evaluation.statistics import probability_of_improvement
@@ -18,12 +18,12 @@ from negopipe.evaluation.trace import ADAPTIVE
 from negopipe.report.figures import setting_label
 from negopipe.report.page import Chapter
 from negopipe.report.tables import Column, table
-from negopipe.stages.learning_curve import HISTORY
 from negopipe.sweeping.learning_curves import COLORS, MEASURES
 from negopipe.sweeping.seeds import across_seeds, by_seed, read_tables
 from negopipe.sweeping.swept_runs import SweptRun, differing_keys, read_runs
 from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.run_folder import CONFIG_NAME, HISTORY_NAME
+from negopipe.training.learning_curve import HISTORY
 
 NOT_COMPARED = ("evaluation.rivals", "evaluation/rival", "evaluation.oracle")
 """Beginnings of keys and overrides that change nothing about a policy."""

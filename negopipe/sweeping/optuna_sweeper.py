@@ -24,7 +24,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import TypeAdapter, ValidationError
 
-from negopipe.config_errors import explain_validation
+from negopipe.config.messages import explain_validation
 from negopipe.errors import UserError
 from negopipe.schema import Address, NonNegativeInt, PositiveInt, schema
 
@@ -131,8 +131,8 @@ class OptunaSweeper(Sweeper):
         """What the trials of a study have in common; a trial's config is checked first, before there is a study."""
         from optuna.distributions import distribution_to_json
 
-        from negopipe.config import load, run_name
-        from negopipe.identity import source_hash
+        from negopipe.config.root import load, run_name
+        from negopipe.runtime.identity import source_hash
         from negopipe.sweeping.search_space import as_overrides, first_point
 
         if not space:

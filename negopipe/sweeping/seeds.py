@@ -25,7 +25,7 @@ from negopipe.errors import UserError
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.statistics import Estimate, interquartile_mean, mean_difference, rate
 from negopipe.evaluation.trace import ADAPTIVE
-from negopipe.stages.oracle_table import ORACLE_TABLE
+from negopipe.search.oracle_table import ORACLE_TABLE
 from negopipe.sweeping.swept_runs import read_runs
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.tracking.run_folder import CONFIG_NAME

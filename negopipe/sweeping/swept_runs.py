@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from negopipe.config import RESULT_NEUTRAL
+from negopipe.config.root import RESULT_NEUTRAL
 from negopipe.errors import UserError
 from negopipe.sweeping.objective import objective
 from negopipe.tracking.metrics_file import read

@@ -10,11 +10,11 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
-from negopipe.config_errors import shown
+from negopipe.config.messages import shown
 from negopipe.errors import UserError
 from negopipe.tracking.database import follow_move, is_served, sqlite_file, store_lock, without_password
-from negopipe.tracking.saved_view import TAG, VIEW
 from negopipe.tracking.sqlite import address, open_read_only
+from negopipe.tracking.sync.saved_view import TAG, VIEW
 
 CHARTS = "#/experiments/{}/runs?workflowType=machine_learning&compareRunsMode=CHART"
 """The page of an experiment that opens on the charts of all its runs; MLflow's start page is another one."""

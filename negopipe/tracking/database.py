@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 from filelock import FileLock
 
-from negopipe.config_errors import shown
+from negopipe.config.messages import shown
 from negopipe.environment import default, variable
 from negopipe.errors import UserError
 from negopipe.tracking.sqlite import address, check_path, file_of, is_address, open_read_only
@@ -178,7 +178,9 @@ def _check(database: Path) -> None:
     except sqlite3.DatabaseError as error:
         verdict = str(error)
     if verdict != "ok":
-        mend = "move it away, then python -m negopipe.tracking.deliver <outputs> makes it anew from the run folders"
+        mend = (
+            "move it away, then python -m negopipe.tracking.sync.__main__ <outputs> makes it anew from the run folders"
+        )
         raise UserError(f"the store {database} is damaged ({verdict.splitlines()[-1]}): {mend}")
 
 

@@ -23,8 +23,8 @@ log = logging.getLogger("negopipe")
 class RunRecord:
     """The run in a folder.
 
-    key: the run's own id, the same in every store (`negopipe.tracking.delivery.KEY_TAG`)
-    source: hash of the code that worked on it last (`negopipe.identity.source_hash`)
+    key: the run's own id, the same in every store (`negopipe.tracking.sync.delivery.KEY_TAG`)
+    source: hash of the code that worked on it last (`negopipe.runtime.identity.source_hash`)
     tags: what the store is told of the run beside its config
     finished: by stage the hashes `config` (of what it depends on) and `source` (of the code that made it), and the
         `overrides` of the command that made it

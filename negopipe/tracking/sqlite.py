@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from urllib.parse import unquote
 
-from negopipe.config_errors import shown
+from negopipe.config.messages import shown
 from negopipe.environment import expanded
 from negopipe.errors import UserError
 

@@ -29,13 +29,13 @@ from negopipe.tracking.database import (
     store_lock,
     unreachable,
 )
-from negopipe.tracking.dead_runs import close_dead_runs, lock_id, process_tags
-from negopipe.tracking.delivery import Delivery
-from negopipe.tracking.journal import Journal
 from negopipe.tracking.metrics_file import merge_into
 from negopipe.tracking.names import clean_name, cleaned, flatten
 from negopipe.tracking.record import OVERRIDES, RunRecord, as_command, read_record, write_record
 from negopipe.tracking.run_folder import CHECKPOINTS_NAME, CONFIG_NAME, METRICS_NAME, TABLES_NAME, hold, keep, set_aside
+from negopipe.tracking.sync.dead_runs import close_dead_runs, lock_id, process_tags
+from negopipe.tracking.sync.delivery import Delivery
+from negopipe.tracking.sync.journal import Journal
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class TrackingConfig:
 
 
 class StoreConfig(Protocol):
-    """What the store needs of the root config (`negopipe.config.RunConfig` has it)."""
+    """What the store needs of the root config (`negopipe.config.root.RunConfig` has it)."""
 
     @property
     def name(self) -> str: ...
@@ -326,7 +326,7 @@ class TrackedRun:
             self._next_try_s = 0.0
             self.deliver()
         if not self._delivery.is_complete:
-            deliver = f"python -m negopipe.tracking.deliver {shlex.quote(str(self._outputs))}"
+            deliver = f"python -m negopipe.tracking.sync.__main__ {shlex.quote(str(self._outputs))}"
             later = f"the same command sends it, or {deliver}"
             log.warning(f"store      has not been given all of {self.folder.name}: {later}")
 

@@ -8,13 +8,13 @@ import pytest
 import torch
 from games import draw_tasks
 
-from negopipe.config import RunConfig
-from negopipe.driver import HorizonDriver, fixed_horizon
-from negopipe.env import Game, build_game, has_compiler
+from negopipe.agents.driver import HorizonDriver, fixed_horizon
+from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import adaptive_planner, by_horizon
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
-from negopipe.gym_env import compose_config
+from negopipe.game.environment import Game, build_game, has_compiler
 from negopipe.policy.actor_critic import grid_actor_critic
 from negopipe.simulation.state import Task, map_tensors
 

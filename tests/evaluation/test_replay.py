@@ -7,14 +7,14 @@ import pytest
 import torch
 from games import draw_tasks
 
-from negopipe.config import RunConfig
-from negopipe.driver import HorizonDriver
-from negopipe.env import Game, build_game
+from negopipe.agents.driver import HorizonDriver
+from negopipe.agents.horizon_drivers import adaptive_planner
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.planners import adaptive_planner
 from negopipe.evaluation.replay import look_into, replay
 from negopipe.evaluation.trace import EPISODE_AXIS, Trace
-from negopipe.gym_env import compose_config
+from negopipe.game.environment import Game, build_game
 from negopipe.policy.actor_critic import ActorCritic, grid_actor_critic
 from negopipe.simulation.state import Task
 

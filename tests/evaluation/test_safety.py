@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from negopipe.evaluation.safety import (
-    avoidable_by,
-    box_distance,
-    footprints,
-    safety,
-    smallest_gap,
-)
+from negopipe.evaluation.safety import avoidable_by, box_distance, footprints, safety, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, time_to_collision
 from negopipe.simulation.scenario import VehicleConfig

@@ -3,6 +3,7 @@
 import pytest
 from games import MIXTURE
 
+from negopipe.game.reward import RewardConfig
 from negopipe.learning.curriculum import (
     AdvanceConfig,
     Curriculum,
@@ -10,7 +11,6 @@ from negopipe.learning.curriculum import (
     CurriculumStageConfig,
     StartsConfig,
 )
-from negopipe.reward import RewardConfig
 
 STAGES = tuple(CurriculumStageConfig(name, n, MIXTURE) for name, n in (("a", 2), ("b", 3), ("c", 1)))
 STARTS = StartsConfig(ego_start_distance_m=(13.0, 14.0), start_speed_mps=(4.0, 5.0))

@@ -7,8 +7,8 @@ import pytest
 import torch
 from games import draw_tasks
 
-from negopipe.config import RunConfig
-from negopipe.env import Game
+from negopipe.config.root import RunConfig
+from negopipe.game.environment import Game
 from negopipe.observation.occupancy_grid import OccupancyGrid, frame_stride
 from negopipe.simulation.state import EGO, World
 

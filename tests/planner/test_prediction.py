@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from negopipe.config import RunConfig
-from negopipe.env import Game
-from negopipe.gym_env import compose_config
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import Game
 from negopipe.planner.prediction import ConstantAccelerationConfig, PredictedPath, predict
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import VehicleState

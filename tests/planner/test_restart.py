@@ -3,9 +3,9 @@
 import torch
 from games import place
 
-from negopipe.config import RunConfig
-from negopipe.env import build_game
-from negopipe.gym_env import compose_config
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import build_game
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, map_tensors

@@ -13,8 +13,8 @@ import torch
 from situations import world_boxes
 from torch import Tensor
 
-from negopipe.env import build_game
-from negopipe.gym_env import compose_config
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import build_game
 from negopipe.planner.roadside import Roadside
 from negopipe.simulation.geometry import overlap_depth
 from negopipe.simulation.road import Road

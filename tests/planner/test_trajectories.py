@@ -10,8 +10,8 @@ from games import draw_tasks
 from situations import draw_situations
 from torch import Tensor
 
-from negopipe.env import Game, build_game
-from negopipe.gym_env import compose_config
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import Game, build_game
 from negopipe.planner.frenet import FrenetPlanner, LimitConfig
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.road import RouteState

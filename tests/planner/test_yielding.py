@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from negopipe.env import Game, build_game
-from negopipe.gym_env import compose_config
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import Game, build_game
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Motion, World
 

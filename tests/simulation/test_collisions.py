@@ -8,9 +8,9 @@ import torch
 from games import draw_tasks, place
 from torch import Tensor
 
-from negopipe.config import RunConfig
-from negopipe.env import Game, build_game
-from negopipe.gym_env import compose_config
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import Game, build_game
 from negopipe.simulation.collisions import GRAZE_M, CollisionCheck
 from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
 from negopipe.simulation.perception import other_columns

@@ -7,9 +7,9 @@ import pytest
 import torch
 from games import draw_tasks
 
-from negopipe.config import RunConfig
-from negopipe.env import build_game
-from negopipe.gym_env import compose_config
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.environment import build_game
 from negopipe.simulation.dynamics import Bicycle, BicycleConfig
 from negopipe.simulation.state import VehicleState
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from games import draw_tasks, place
 
-from negopipe.config import RunConfig
-from negopipe.env import Game, build_game
+from negopipe.config.root import RunConfig
+from negopipe.game.environment import Game, build_game
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.perception import PerceptionConfig, Sensor
 from negopipe.simulation.state import EGO, VehicleState, World, map_tensors

@@ -8,12 +8,12 @@ from games import MIXTURE, draw_tasks
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from negopipe.config import RunConfig
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.gym_env import compose_config
-from negopipe.seeding import generator
 from negopipe.simulation.scenario import Families, FamilyConfig, StyleSwitchConfig, TaskSampler, pair_styles
 from negopipe.simulation.state import EGO, Task
+from negopipe.tensors.seeding import generator
 
 Span = tuple[float, float]
 

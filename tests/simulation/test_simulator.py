@@ -7,8 +7,8 @@ import pytest
 import torch
 from games import draw_tasks, place
 
-from negopipe.config import RunConfig
-from negopipe.env import Game
+from negopipe.config.root import RunConfig
+from negopipe.game.environment import Game
 from negopipe.simulation.perception import other_columns
 from negopipe.simulation.state import VehicleState, World
 

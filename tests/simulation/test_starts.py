@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from negopipe.config import RunConfig
-from negopipe.env import build_game
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.gym_env import compose_config
+from negopipe.game.environment import build_game
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig, TaskSampler
 from negopipe.simulation.starts import check_starts
 

@@ -9,26 +9,19 @@ import pytest
 import torch
 from tracked import RecordedRun
 
-from negopipe.config import RunConfig, run_name
-from negopipe.driver import fixed_horizon
-from negopipe.env import Game, build_game
+from negopipe.agents.driver import fixed_horizon
+from negopipe.agents.horizon_drivers import by_horizon
+from negopipe.config.root import RunConfig, run_name
+from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.evaluation.behaviour_map import (
-    EQUAL,
-    FAILS,
-    HOLDS,
-    UNKNOWN,
-    claims,
-    findings,
-)
+from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, claims, findings
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes
-from negopipe.evaluation.planners import by_horizon
 from negopipe.evaluation.safety import footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES
-from negopipe.gym_env import compose_config
-from negopipe.report.behaviour_map import behaviour_map as draw
-from negopipe.report.behaviour_map import reading
+from negopipe.game.environment import Game, build_game
+from negopipe.report.map_figure import behaviour_map as draw
+from negopipe.report.map_figure import reading
 from negopipe.stages import behaviour_map
 from negopipe.stages.evaluate import held_out_tasks
 

@@ -12,16 +12,16 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from tracked import RecordedRun
 
-from negopipe.config import RunConfig
-from negopipe.env import Game
+from negopipe.benchmark.speed import BenchmarkConfig, latency_percentiles_ms, seconds_per_call
+from negopipe.benchmark.training_speed import measure_training
+from negopipe.benchmark.workload import OVERLAP, Workload, decision_workload
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.evaluation.speed import BenchmarkConfig, latency_percentiles_ms, seconds_per_call
-from negopipe.evaluation.workload import OVERLAP, Workload, decision_workload
-from negopipe.gym_env import compose_config
+from negopipe.game.environment import Game
 from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.stages import benchmark
 from negopipe.stages.benchmark import available, comparisons, measure_cell
-from negopipe.stages.training_speed import measure_training
 
 CPU = torch.device("cpu")
 TINY = (

@@ -6,12 +6,12 @@ import pytest
 import torch
 from tracked import RecordedRun
 
+from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.gym_env import compose_config
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import Rollout
-from negopipe.nested import take_from
 from negopipe.stages import train
+from negopipe.tensors.prefixes import take_from
 from negopipe.tracking.checkpoint import load_checkpoint
 
 CONFIG = ("+experiment=smoke", "device=cpu", "tracking.snapshot_period_s=1e-6")

@@ -8,15 +8,15 @@ import pytest
 import torch
 from tracked import RecordedRun
 
-from negopipe.config import RunConfig, run_name
-from negopipe.env import Game
+from negopipe.config.root import RunConfig, run_name
+from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.evaluation import oracle as search
-from negopipe.gym_env import compose_config
+from negopipe.game.environment import Game
+from negopipe.runtime.build import build, save_policy
+from negopipe.search import oracle as search
+from negopipe.search.oracle_table import read_oracle
 from negopipe.stages import evaluate, oracle
 from negopipe.stages.evaluate import held_out_tasks
-from negopipe.stages.oracle_table import read_oracle
-from negopipe.stages.setup import build, save_policy
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 
 TINY = (

@@ -10,9 +10,9 @@ import pytest
 import torch
 from tracked import RecordedRun
 
-from negopipe.gym_env import compose_config
+from negopipe.envs.gymnasium import compose_config
+from negopipe.runtime.interruption import AskedToStop
 from negopipe.stages import train
-from negopipe.stages.interruption import AskedToStop
 from negopipe.tracking.snapshots import Snapshots
 
 SMALL = (

@@ -248,7 +248,7 @@ def test_trials_of_one_study_are_comparable(search: Search) -> None:
 def test_a_study_belongs_to_its_code(search: Search, monkeypatch: pytest.MonkeyPatch) -> None:
     needs_optuna()
     search(RATE, "hydra.sweeper.n_trials=1")
-    monkeypatch.setattr("negopipe.identity.source_hash", lambda: "other")
+    monkeypatch.setattr("negopipe.runtime.identity.source_hash", lambda: "other")
     with pytest.raises(UserError, match=r"begun with another code$"):
         search(RATE, "hydra.sweeper.n_trials=2")
     assert len(search(RATE, "hydra.sweeper.n_trials=2", "reuse=any_code")) == 1

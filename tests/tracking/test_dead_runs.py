@@ -12,11 +12,11 @@ import pytest
 from filelock import FileLock
 from mlflow import MlflowClient
 
-from negopipe.tracking.dead_runs import close_dead_runs
-from negopipe.tracking.deliver import deliver
-from negopipe.tracking.delivery import Delivery
-from negopipe.tracking.journal import Journal, has_ended
 from negopipe.tracking.store import StoreConfig, TrackedRun, find_store, open_run
+from negopipe.tracking.sync.__main__ import deliver
+from negopipe.tracking.sync.dead_runs import close_dead_runs
+from negopipe.tracking.sync.delivery import Delivery
+from negopipe.tracking.sync.journal import Journal, has_ended
 
 Died = Callable[..., TrackedRun]
 

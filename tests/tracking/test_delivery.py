@@ -20,8 +20,8 @@ from PIL import Image
 from negopipe.errors import UserError
 from negopipe.tracking import store
 from negopipe.tracking.database import database_path
-from negopipe.tracking.deliver import deliver
 from negopipe.tracking.store import StoreConfig, TrackedRun, open_run
+from negopipe.tracking.sync.__main__ import deliver
 from negopipe.tracking.whole_file import write_whole
 
 SENDING = (
@@ -120,7 +120,7 @@ def all_told(config: StoreConfig, run: TrackedRun) -> list[Any]:
 
 def told_afresh(config: StoreConfig, name: str) -> list[Any]:
     """Delivered and read without MLflow of this process, which goes on with the files that it has opened once."""
-    subprocess.run([sys.executable, "-m", "negopipe.tracking.deliver", config.outputs], check=True)
+    subprocess.run([sys.executable, "-m", "negopipe.tracking.sync.__main__", config.outputs], check=True)
     database = database_path(Path(config.outputs))
     return list(told(database.rename(database.with_name("afresh.db")), name))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from negopipe.tracking.journal import Journal
+from negopipe.tracking.sync.journal import Journal
 
 
 def steps(journal: Journal, n_bytes: int = 0) -> list[int]:

@@ -219,7 +219,7 @@ def test_artifacts_are_found_after_a_move(
     elif how == "begun":
         work(there, "two")
     else:
-        from negopipe.tracking.deliver import deliver
+        from negopipe.tracking.sync.__main__ import deliver
 
         deliver(Path(there.outputs), None)
     assert moved(there, run, None) == ["config.yaml"]

@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from negopipe.stages.provenance import provenance
+from negopipe.report.provenance import provenance
 from negopipe.tracking.record import RunRecord, as_command, read_record, write_record
 from negopipe.tracking.store import StoreConfig, TrackedRun, find_store, open_run
 

@@ -8,8 +8,8 @@ from mlflow import MlflowClient
 
 from negopipe.tracking.dashboard import chart_addresses
 from negopipe.tracking.database import connect, database_path
-from negopipe.tracking.saved_view import LONGEST_TAG, LONGEST_VALUE, N_AXES, TAG, differing
 from negopipe.tracking.store import StoreConfig, open_run
+from negopipe.tracking.sync.saved_view import LONGEST_TAG, LONGEST_VALUE, N_AXES, TAG, differing
 
 METRIC = "evaluation.yield.adaptive.reward"
 

@@ -1,0 +1,46 @@
+"""The planners that the policy is compared with: what each of them has to be."""
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from torch import Tensor
+
+from negopipe.agents.driver import Driver
+from negopipe.game.environment import Game
+from negopipe.schema import PositiveInt, schema
+
+
+@schema
+class Rival(ABC):
+    """A config that makes the driver it describes. Each stands in a file of `negopipe.agents.baselines`, and is
+    chosen by one of `conf/evaluation/rival`.
+
+    n_episodes: it drives the first so many of the evaluation's tasks; null = all of them
+    """
+
+    n_episodes: PositiveInt | None
+
+    is_in_step: ClassVar[bool] = False
+    """Its driver is asked for all worlds of a batch at every decision, in their order."""
+
+    @property
+    def horizons_s(self) -> tuple[float, ...]:
+        """Prediction horizons that it may use."""
+        return ()
+
+    @property
+    def times_s(self) -> dict[str, float]:
+        """Its times that are counted in control steps, by the name of the field."""
+        return {}
+
+    @property
+    def fixed_horizon_s(self) -> float | None:
+        """The horizon that it keeps to at every decision; None where it keeps to none."""
+        return None
+
+    @abstractmethod
+    def driver(self, game: Game, chance: Tensor) -> Driver:
+        """The driver for a batch of episodes that start together.
+
+        chance: [E] int64, a number of each episode from which what is random may be drawn
+        """

@@ -1,0 +1,24 @@
+"""The planners that the policy is compared with, one per file.
+
+Who adds one writes a file here, whose `Config` is a `negopipe.agents.baseline.Rival` with a `kind` of its own, and a
+YAML in `conf/evaluation/rival` that chooses it.
+"""
+
+from functools import reduce
+from importlib import import_module
+from operator import or_
+from pkgutil import iter_modules
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
+
+from negopipe.agents.baseline import Rival
+
+CONFIGS: tuple[type[Rival], ...] = tuple(
+    import_module(f"{__name__}.{module.name}").Config for module in iter_modules(__path__)
+)
+
+if TYPE_CHECKING:
+    RivalConfig = Rival
+else:
+    RivalConfig = Annotated[reduce(or_, CONFIGS), Field(discriminator="kind")]

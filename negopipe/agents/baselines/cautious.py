@@ -1,0 +1,130 @@
+"""A driver that takes no risk and plans no path: it keeps to its route, enters the corridor only if it will be out
+again before the other could be in, and minds its speed by the Intelligent Driver Model (Treiber et al. 2000).
+"""
+
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from negopipe.agents.baseline import Rival
+from negopipe.agents.encounter import Encounter, encounter
+from negopipe.game.environment import Game
+from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, Real, schema
+from negopipe.simulation.perception import Perception
+from negopipe.simulation.road import RouteState
+from negopipe.simulation.simulator import Simulator
+from negopipe.simulation.state import Motion, map_tensors
+
+FREE_M = 1e3
+"""Gap of who has nothing ahead."""
+LEAST_GAP_M = 0.1
+LONG_S = 1e3
+"""Until who stands still is somewhere else."""
+FARTHEST_M = 50.0
+STEP_M = 0.25
+"""How far before the mouth a waiting place is looked for, and the spacing of the places that are tried."""
+
+
+@schema
+class Config(Rival):
+    """`conf/evaluation/rival/cautious.yaml` says what each value means."""
+
+    kind: Literal["cautious"]
+    stop_s_m: Real
+    margin_s: NonNegativeFloat
+    accel_mps2: PositiveFloat
+    decel_mps2: PositiveFloat
+    braking_max_mps2: PositiveFloat
+    gap_m: NonNegativeMetres
+    headway_s: PositiveFloat
+
+    def driver(self, game: Game, chance: Tensor) -> "CautiousDriver":
+        return CautiousDriver(game, self)
+
+
+class Hindrance(NamedTuple):
+    """What a distance is kept from. gap_m: [E, 1] to it; closing_mps: [E, 1], how fast the gap shrinks."""
+
+    gap_m: Tensor
+    closing_mps: Tensor
+
+
+class CautiousDriver:
+    """Follows its route, no slower than it has to."""
+
+    def __init__(self, game: Game, config: Config) -> None:
+        self.road, self.dt_s, self.config = game.simulator.road, game.simulator.scenario.dt_s, config
+        self.length_m = game.simulator.scenario.vehicle.length_m
+        self._waiting_m = _by_direction(game.simulator, config.stop_s_m)
+        self._latest_m = _by_direction(game.simulator, 0.0)
+
+    def drive(self, perception: Perception) -> Motion:
+        met = encounter(self.road, self.length_m, perception)
+        stop_line = self.stop_line(met, perception.direction, perception.desired_speed)
+        hindrance = nearest(stop_line, self.nose_to_nose(met))
+        now = met.own
+        speed = now.s_dot + self.dt_s * idm(self.config, now.s_dot, perception.desired_speed, hindrance)
+        speed = speed.clamp(min=0)
+        s = now.s + (now.s_dot + speed) / 2 * self.dt_s
+        route = RouteState(s, speed, (speed - now.s_dot) / self.dt_s, *self.road.route_offset(s, perception.direction))
+        no_horizon, no = torch.full_like(s, torch.nan), torch.zeros_like(s, dtype=torch.bool)
+        return Motion(self.road.to_world(route, perception.direction), no_horizon, no)
+
+    def stop_line(self, met: Encounter, direction: Tensor, desired_speed: Tensor) -> Hindrance:
+        """Where the centre comes to rest while someone could be in the corridor before the ego is out."""
+        through_m = self.road.config.corridor_length_m + self.length_m / 2
+        own_s = time_to(through_m, met.own.s, (met.own.s_dot + desired_speed) / 2)
+        other_s = time_to(-self.length_m / 2, met.other_s, met.other_speed)
+        must_wait = (met.is_oncoming & (other_s < own_s[..., None] + self.config.margin_s)).any(-1)
+        is_along = (direction > 0).long()
+        can_wait = met.own.s < self._latest_m[is_along] + LEAST_GAP_M  # past the line, too, as long as it can be passed
+        left = self._waiting_m[is_along] - met.own.s
+        gap = torch.where(must_wait & can_wait, left + self.config.gap_m, FREE_M)
+        return Hindrance(gap, met.own.s_dot)
+
+    def nose_to_nose(self, met: Encounter) -> Hindrance:
+        """The nearest oncoming vehicle that has its front in the corridor, as the ego has."""
+        is_inside = (met.own.s[..., None] > -self.length_m / 2) & (met.other_s > -self.length_m / 2)
+        in_the_way = met.is_oncoming & is_inside & (met.apart_m > 0)
+        gap, which = torch.where(in_the_way, met.apart_m - self.length_m, FREE_M).min(-1, keepdim=True)
+        return Hindrance(gap[..., 0], met.own.s_dot + met.other_speed.gather(-1, which)[..., 0])
+
+
+def waiting_place(simulator: Simulator, latest_s_m: float, direction: float) -> float:
+    """s (m) on the own route, `latest_s_m` or the last place before it that the other can pass on its route; -inf
+    where there is none within `FARTHEST_M`.
+    """
+    road, s = simulator.road, torch.arange(latest_s_m, -FARTHEST_M, -STEP_M, device=simulator.road.parked_cars.device)
+    own, zero = torch.full_like(s, direction), torch.zeros_like(s)
+    standing = road.to_world(RouteState(s, zero, zero, *road.route_offset(s, own)), own)
+    waiting = map_tensors(lambda field: field[:, None], standing)
+    is_passable = ~simulator.collisions.stands_on_route(waiting, -own[:, None])[:, 0]
+    return float(s[is_passable].max()) if is_passable.any() else -torch.inf
+
+
+def _by_direction(simulator: Simulator, latest_s_m: float) -> Tensor:
+    """[2] float32: the waiting places of vehicles that drive against the line and along it."""
+    places = [waiting_place(simulator, latest_s_m, direction) for direction in (-1.0, 1.0)]
+    return torch.tensor(places, device=simulator.road.parked_cars.device)
+
+
+def nearest(a: Hindrance, b: Hindrance) -> Hindrance:
+    """Whichever is nearer, world by world."""
+    is_a = a.gap_m <= b.gap_m
+    return Hindrance(*(torch.where(is_a, of_a, of_b) for of_a, of_b in zip(a, b, strict=True)))
+
+
+def idm(config: Config, speed: Tensor, desired_speed: Tensor, hindrance: Hindrance) -> Tensor:
+    """Acceleration [E, 1], m/s2 (Treiber et al. 2000, Eq. 2 and 3)."""
+    braking = speed * hindrance.closing_mps / (2 * (config.accel_mps2 * config.decel_mps2) ** 0.5)
+    wanted_gap = config.gap_m + (speed * config.headway_s + braking).clamp(min=0)
+    share = (speed / desired_speed.clamp(min=0.1)) ** 4
+    accel = config.accel_mps2 * (1 - share - (wanted_gap / hindrance.gap_m.clamp(min=LEAST_GAP_M)) ** 2)
+    return accel.clamp(min=-config.braking_max_mps2)
+
+
+def time_to(s_m: float, now_m: Tensor, speed: Tensor) -> Tensor:
+    """Until a place is reached at a steady speed, s; 0 where it is behind, `LONG_S` at most."""
+    left = (s_m - now_m).clamp(min=0)
+    return torch.where(left > 0, (left / speed.clamp(min=1e-3)).clamp(max=LONG_S), 0.0)

@@ -1,0 +1,29 @@
+"""One and the same prediction horizon at every decision: the paper's baselines."""
+
+from typing import Literal
+
+from torch import Tensor
+
+from negopipe.agents.baseline import Rival
+from negopipe.agents.driver import HorizonDriver, fixed_horizon
+from negopipe.game.environment import Game
+from negopipe.schema import NonNegativeFloat, schema
+
+
+@schema
+class Config(Rival):
+    """horizon_s: how far ahead the other is predicted; 0 = it is ignored."""
+
+    kind: Literal["fixed"]
+    horizon_s: NonNegativeFloat
+
+    @property
+    def horizons_s(self) -> tuple[float, ...]:
+        return (self.horizon_s,)
+
+    @property
+    def fixed_horizon_s(self) -> float:
+        return self.horizon_s
+
+    def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
+        return HorizonDriver(fixed_horizon(self.horizon_s), game.plan)

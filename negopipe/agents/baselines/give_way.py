@@ -1,0 +1,41 @@
+"""The rule of the road: whoever is farther from the corridor lets the other through first.
+
+In the game's own terms: with a long prediction horizon the planner gives way, with a short one it goes.
+"""
+
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from negopipe.agents.baseline import Rival
+from negopipe.agents.driver import HorizonDriver
+from negopipe.agents.encounter import encounter
+from negopipe.game.environment import Game
+from negopipe.schema import NonNegativeFloat, schema
+from negopipe.simulation.perception import Perception
+
+
+@schema
+class Config(Rival):
+    """`conf/evaluation/rival/give_way.yaml` says what each value means."""
+
+    kind: Literal["give_way"]
+    waiting_horizon_s: NonNegativeFloat
+    going_horizon_s: NonNegativeFloat
+
+    @property
+    def horizons_s(self) -> tuple[float, ...]:
+        return (self.waiting_horizon_s, self.going_horizon_s)
+
+    def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
+        road, length_m = game.simulator.road, game.simulator.scenario.vehicle.length_m
+
+        def choose(perception: Perception) -> Tensor:
+            met = encounter(road, length_m, perception)
+            is_nearer = met.other_s >= met.own.s[..., None]  # of equals, both wait
+            must_wait = (met.is_oncoming & is_nearer).any(-1)
+            waiting, going = (torch.full_like(met.own.s, h) for h in self.horizons_s)
+            return torch.where(must_wait, waiting, going)
+
+        return HorizonDriver(choose, game.plan)

@@ -1,0 +1,188 @@
+"""A game-theoretic chooser: level-k reasoning (Costa-Gomes and Crawford 2006) over the horizons of both vehicles.
+
+It plays what it perceives forward for a while, with every horizon of its own against every one of the other, and
+counts what each of the two would have gained. At level 0 a vehicle keeps to some horizon; of the other it believes
+what its latest motion makes likely. At level k a vehicle answers best to the other at level k - 1. The other's style
+and desired speed are not known to it.
+
+Axes: E worlds, A horizons, B of them for the other, V vehicles, O = V - 1 others, L steps looked back at.
+"""
+
+from dataclasses import replace
+from typing import Annotated, ClassVar, Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from negopipe.agents.baseline import Rival
+from negopipe.agents.driver import HorizonDriver
+from negopipe.game.environment import Game
+from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
+from negopipe.simulation.perception import Perception
+from negopipe.simulation.state import EGO, Task, VehicleState, World, map_tensors
+
+BEHIND_M = 100.0
+
+
+@schema
+class Config(Rival):
+    """`conf/evaluation/rival/level_k.yaml` says what each value means."""
+
+    kind: Literal["level_k"]
+    horizons: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
+    level: Annotated[PositiveInt, Field(le=10)]
+    lookahead_s: PositiveFloat
+    keep_s: PositiveFloat
+    collision_m: NonNegativeFloat
+    courtesy: NonNegativeFloat
+    lookback_s: PositiveFloat
+    speed_std_mps: PositiveFloat
+
+    is_in_step: ClassVar[bool] = True
+
+    @property
+    def horizons_s(self) -> tuple[float, ...]:
+        return self.horizons
+
+    @property
+    def times_s(self) -> dict[str, float]:
+        return {name: getattr(self, name) for name in ("lookahead_s", "keep_s", "lookback_s")}
+
+    def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
+        return HorizonDriver(LevelK(game, self), game.plan)
+
+
+class LevelK:
+    """Chooses anew every `keep_s`, for episodes that start together; a `negopipe.agents.driver.ChooseHorizon`."""
+
+    def __init__(self, game: Game, config: Config) -> None:
+        self.game, self.config = game, config
+        self.horizons = torch.tensor(config.horizons, device=game.planner.times.device)
+        self.dt_s = game.simulator.scenario.dt_s
+        self._n_calls, self._kept = 0, self.horizons[:1]
+
+    def __call__(self, perception: Perception) -> Tensor:
+        if self._n_calls % self._n_steps(self.config.keep_s) == 0:
+            own, other = self.payoffs(perception)
+            belief = self.belief(perception, self._n_calls)
+            self._kept = self.horizons[best_response(own, other, belief, self.config.level)]
+        self._n_calls += 1
+        return self._kept[:, None]
+
+    def payoffs(self, perception: Perception) -> tuple[Tensor, Tensor]:
+        """What the ego and the nearest other gain, [E, A, B] each: metres driven, up to the target, those of the
+        opponent with the weight `courtesy`, less the cost of a collision.
+        """
+        n = len(self.horizons)
+        now = map_tensors(lambda a, b: torch.cat([a, b], 1), perception.own, _of_others(perception))
+        world = imagined(self.game, now, _directions(self.game, perception), perception.desired_speed)
+        world = map_tensors(lambda field: field.repeat_interleave(n * n, 0), world)
+        pairs = torch.cartesian_prod(self.horizons, self.horizons).repeat(len(now.speed), 1)
+        horizon = torch.cat([pairs[:, :1], pairs[:, 1:].expand(-1, now.speed.shape[1] - 1)], 1)
+        start = self._progress(world)
+        for _ in range(self._n_steps(self.config.lookahead_s)):
+            world, _ = self.game.drive(world, horizon)
+        driven = self._progress(world) - start
+        own, other = driven[:, EGO], driven[:, EGO + 1]
+        crash = self.config.collision_m * world.has_collided.any(-1)
+        gains = (a + self.config.courtesy * b - crash for a, b in ((own, other), (other, own)))
+        own, other = (gain.unflatten(0, (-1, n, n)) for gain in gains)
+        return own, other
+
+    def belief(self, perception: Perception, n_driven: int) -> Tensor:
+        """[E, B]: how likely each horizon of the nearest other is, by its speeds in the last `lookback_s`.
+
+        At each of these steps every horizon would have had the planner do something; the speed that was seen next is
+        taken as that and a normal error.
+
+        n_driven: steps since the start
+        """
+        pose, speed, accel = self._seen(perception)
+        n = min(self._n_steps(self.config.lookback_s), n_driven - 3, accel.shape[1] - 1)
+        n_horizons = len(self.horizons)
+        if n < 1:
+            return torch.full((len(pose), n_horizons), 1 / n_horizons, device=pose.device)
+        past = slice(1, n + 1)
+        then = VehicleState(
+            pose[:, past, :, :2], pose[:, past, :, 2], speed[:, past], accel[:, past], 0 * accel[:, past]
+        )
+        direction, desired_speed = (
+            field[:, None].expand(-1, n, -1).flatten(0, 1)
+            for field in (_directions(self.game, perception), perception.desired_speed)
+        )
+        world = imagined(self.game, map_tensors(lambda field: field.flatten(0, 1), then), direction, desired_speed)
+        seat = self.game.perceive(map_tensors(lambda field: field.repeat_interleave(n_horizons, 0), world)).of(EGO + 1)
+        wanted = self.game.plan(seat, self.horizons.repeat(len(direction))[:, None]).state.speed
+        error = wanted.reshape(-1, n, n_horizons) - speed[:, :n, EGO + 1, None]
+        is_seen = perception.is_seen_history[:, : n + 4, 0, 0].unfold(1, 4, 1).all(-1)[:, :n]
+        misfit = ((error / self.config.speed_std_mps) ** 2 * is_seen[..., None]).sum(1)
+        return torch.softmax(-misfit / 2, -1)
+
+    def _seen(self, perception: Perception) -> tuple[Tensor, Tensor, Tensor]:
+        """Poses [E, K, V, 3], and by their backward differences speeds [E, K - 2, V] and accelerations [E, K - 3, V]
+        along the road; index 0 is now.
+        """
+        pose = torch.cat([perception.own_history, perception.other_history[:, :, 0]], 2)
+        s = self.game.simulator.road.progress(pose[..., :2], _directions(self.game, perception)[:, None])
+        speed = ((3 * s[:, :-2] - 4 * s[:, 1:-1] + s[:, 2:]) / (2 * self.dt_s)).clamp(min=0)
+        return pose, speed, (speed[:, :-1] - speed[:, 1:]) / self.dt_s
+
+    def _progress(self, world: World) -> Tensor:
+        """[E, V], m: s of each vehicle, its target's at most."""
+        road = self.game.simulator.road
+        return road.progress(world.vehicles.position, world.task.direction).clamp(max=road.target_s_m)
+
+    def _n_steps(self, time_s: float) -> int:
+        return round(time_s / self.dt_s)
+
+
+def best_response(own: Tensor, other: Tensor, belief: Tensor, level: int) -> Tensor:
+    """[E] int64: the ego's horizon at `level`; own, other: payoffs [E, A, B]; belief: [E, B] in the other at level 0.
+
+    Of itself, as the other at level 0 may see it, the ego assumes nothing: each horizon is equally likely.
+    """
+    expected = (own * _play(own, other, belief, level - 1)[:, None]).sum(-1)
+    return expected.argmax(-1)
+
+
+def _play(own: Tensor, other: Tensor, belief: Tensor, level: int) -> Tensor:
+    """[E, B]: how likely the other plays what at `level`."""
+    if level == 0:
+        return belief
+    uniform = torch.full_like(own[:, :, 0], 1 / own.shape[1])
+    best = best_response(other.transpose(1, 2), own.transpose(1, 2), uniform, level)
+    return torch.nn.functional.one_hot(best, own.shape[2]).to(own.dtype)
+
+
+def imagined(game: Game, vehicles: VehicleState, direction: Tensor, desired_speed: Tensor) -> World:
+    """Worlds as one vehicle takes them to be: the others want to drive as fast as it does, and nobody has a past.
+
+    vehicles: VehicleState [E, V]; direction: [E, V]; desired_speed: [E, 1], m/s
+    """
+    unknown = torch.zeros_like(direction)
+    never, no = torch.full_like(direction, torch.inf), torch.zeros_like(direction[:, 0], dtype=torch.int64)
+    wanted = desired_speed.expand_as(direction)
+    task = Task(unknown, wanted, wanted, unknown, unknown, never, never, direction, no, no)
+    world = game.simulator.reset(task)
+    pose = torch.cat([vehicles.position, vehicles.yaw[..., None]], dim=-1)
+    return replace(
+        world,
+        vehicles=vehicles,
+        reference=vehicles,
+        pose_history=pose[:, None].expand_as(world.pose_history).contiguous(),
+        speed_history=vehicles.speed[:, None].expand_as(world.speed_history).contiguous(),
+    )
+
+
+def _of_others(perception: Perception) -> VehicleState:
+    """[E, O], those that are not seen far behind the ego."""
+    other = map_tensors(lambda field: field[:, 0], perception.other)
+    away = torch.stack([perception.own.yaw.cos(), perception.own.yaw.sin()], -1)
+    behind = (perception.own.position - BEHIND_M * away).expand_as(other.position)
+    return replace(other, position=torch.where(perception.is_seen[:, 0, :, None], other.position, behind))
+
+
+def _directions(game: Game, perception: Perception) -> Tensor:
+    """[E, V], of the ego and the others as they are seen to head."""
+    return torch.cat([perception.direction, game.simulator.road.direction_of(perception.other)[:, 0]], 1)

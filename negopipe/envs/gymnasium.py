@@ -1,0 +1,259 @@
+"""gymnasium's door to the game: `negopipe/NarrowLane-v0`, single and vectorised.
+
+    import gymnasium, negopipe.envs.gymnasium
+    env = gymnasium.make("negopipe/NarrowLane-v0", overrides=("scenario.n_social=2",))
+    envs = gymnasium.make_vec("negopipe/NarrowLane-v0", num_envs=64, vectorization_mode="vector_entry_point")
+
+Observations are the occupancy grids, uint8, 0 = free and 255 = occupied, as image policies expect them; actions
+are indices into `policy.horizons_s`. Tasks are drawn from the families that `evaluation.settings` names. `overrides`
+are those of the command line that change one of these.
+
+An episode depends on overrides, seed and actions only, not on what the process has set in torch, NumPy or Hydra, and
+nothing of that is changed. Worlds are computed in one thread on the CPU, so environments may be built in forked
+processes. Copies and pickles hold the whole state and go on where the environment stands.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.spaces import Box, Discrete
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from negopipe.config.compose import compose_config
+from negopipe.config.messages import shown
+from negopipe.config.root import RunConfig
+from negopipe.errors import UserError
+from negopipe.game.environment import NegotiationEnv, build_game
+from negopipe.learning.rollout import Transition
+from negopipe.simulation.scenario import TaskSampler
+from negopipe.tensors.torch_settings import own_settings
+
+ENV_ID = "negopipe/NarrowLane-v0"
+OCCUPIED = 255
+RESET_MASK = "reset_mask"
+"""gymnasium's name of the option that says in which worlds `reset` starts a new task."""
+
+KEYS = (
+    *("scenario", "perception", "dynamics", "planner", "observation", "reward"),
+    *("policy.horizons_s", "evaluation.settings"),
+)
+"""What an environment depends on."""
+GROUPS = ("policy", "evaluation", "experiment")
+"""Their options set some of these keys, and others."""
+
+
+def config_of(overrides: Sequence[str]) -> RunConfig:
+    """The configuration of an environment; UserError for an override that it does not depend on.
+
+    Other keys may be given where the config would not be valid without them.
+    """
+    if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides):
+        raise UserError(f"overrides must be a tuple of texts key=value, got {shown(repr(overrides))}")
+    config = compose_config(overrides)
+    for index, override in enumerate(overrides):
+        if not _is_acting(override) and _is_valid([*overrides[:index], *overrides[index + 1 :]]):
+            allowed = f"of {', '.join(KEYS)} or options of {', '.join(GROUPS)}"
+            raise UserError(f"overrides must be {allowed}, got {shown(override)}")
+    return config
+
+
+def _is_acting(override: str) -> bool:
+    name = override.lstrip("+~").partition("=")[0].partition("@")[0]
+    key = name.replace("/", ".")
+    return name in GROUPS or any(f"{key}.".startswith(f"{place}.") for place in KEYS)
+
+
+def _is_valid(overrides: Sequence[str]) -> bool:
+    try:
+        compose_config(overrides)
+    except UserError:
+        return False
+    return True
+
+
+class _Worlds:
+    """What both environments have in common: worlds of a config, a stream of tasks, copies with all their state."""
+
+    _config: RunConfig
+    _worlds: NegotiationEnv
+
+    def _set_up(self, config: RunConfig, n_worlds: int) -> None:
+        game = build_game(config)
+        sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator())
+        self._config = config
+        self._worlds = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
+
+    def _spaces(self) -> tuple[Box, Discrete]:
+        """Of one world."""
+        return Box(0, OCCUPIED, self._worlds.game.observation_shape, np.uint8), Discrete(self._worlds.n_actions)
+
+    def _restart(self, random: np.random.Generator, is_chosen: torch.Tensor | None = None) -> np.ndarray:
+        """Start new tasks and return what is seen, [E, F, H, W]."""
+        self._worlds.sampler.generator.manual_seed(int(random.integers(2**62)))
+        self._worlds.restart(is_chosen)
+        return _grids(self._worlds.observe())
+
+    def _drive(self, action: Any) -> Transition:
+        """A step by the actions [E]; UserError if they are none."""
+        given = np.asarray(action)
+        n_worlds, n_actions = self._worlds.n_worlds, self._worlds.n_actions
+        has_shape = given.shape == (n_worlds,) or given.size == n_worlds == 1
+        if not (has_shape and given.dtype.kind in "iu" and (given >= 0).all() and (given < n_actions).all()):
+            what = "an integer" if n_worlds == 1 else f"{n_worlds} integers"
+            raise UserError(f"action must be {what} from 0 to {n_actions - 1}, got {_in_one_line(action)}")
+        return self._worlds.step(torch.tensor(given.reshape(-1).astype(np.int64)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = {name: tensor.numpy() for name, tensor in self._worlds.state_dict().items()}
+        return self.__dict__ | {"_worlds": (self._worlds.n_worlds, state)}  # its functions are made anew
+
+    @own_settings()
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        n_worlds, tensors = state["_worlds"]
+        self._set_up(state["_config"], n_worlds)
+        self._worlds.load_state_dict({name: torch.tensor(array) for name, array in tensors.items()})
+        self.__dict__ |= state | {"_worlds": self._worlds}
+
+
+class NarrowLaneEnv(_Worlds, gymnasium.Env[np.ndarray, np.int64]):
+    """One world. `info` at an episode's end holds `is_success` and `is_collision`.
+
+    overrides: of the command line, `("scenario.n_social=2",)`; UserError names one that is wrong or has no effect
+    render_mode: None, since nothing is drawn
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (gymnasium's own declaration)
+
+    @own_settings()
+    def __init__(self, overrides: Sequence[str] = (), render_mode: None = None) -> None:
+        _check_render_mode(render_mode)
+        self._set_up(config_of(overrides), n_worlds=1)
+        self.observation_space, self.action_space = self._spaces()
+
+    @own_settings()
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start a new task; there are no options."""
+        _check_options(options)
+        super().reset(seed=seed)
+        return self._restart(self.np_random)[0], {}
+
+    @own_settings()
+    def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Drive for one control step; `action` is an integer of the action space or an array of one."""
+        reached = self._drive(action)
+        info = {"is_success": bool(reached.is_success), "is_collision": bool(reached.is_collision)}
+        is_over = bool(reached.is_terminated | reached.is_truncated)
+        observation = _grids(reached.final_observation if is_over else reached.observation)[0]
+        return (
+            observation,
+            float(reached.reward),
+            bool(reached.is_terminated),
+            bool(reached.is_truncated),
+            info,
+        )
+
+
+class NarrowLaneVectorEnv(_Worlds, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """Many worlds in one batched program; resets in the same step and hands over the final observation.
+
+    num_envs: how many worlds, E
+    overrides, render_mode: as of `NarrowLaneEnv`
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+    @own_settings()
+    def __init__(self, num_envs: int = 1, overrides: Sequence[str] = (), render_mode: None = None) -> None:
+        _check_render_mode(render_mode)
+        if type(num_envs) is not int or num_envs < 1:
+            raise UserError(f"num_envs must be an integer from 1, got {_in_one_line(num_envs)}")
+        self.num_envs = num_envs
+        self._set_up(config_of(overrides), num_envs)
+        spaces = self._spaces()
+        self.single_observation_space, self.single_action_space = spaces
+        self.observation_space, self.action_space = (batch_space(space, num_envs) for space in spaces)
+
+    @own_settings()
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start new tasks everywhere; all worlds share one stream of tasks, so `seed` is one number.
+
+        options: `{"reset_mask": [E] bool array}` starts new tasks in those worlds only, the same as a reset of all
+            would start there; the others stay where they are, and draw their next tasks from the new stream
+        """
+        if seed is not None and not isinstance(seed, int):
+            raise UserError(f"seed must be one int for all worlds, got {_in_one_line(seed)}")
+        _check_options(options, RESET_MASK)
+        is_chosen = self._mask(options[RESET_MASK]) if options else None
+        super().reset(seed=seed)
+        return self._restart(self.np_random, is_chosen), {}
+
+    @own_settings()
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Drive for one control step; `actions` [E] are integers of the action space."""
+        reached = self._drive(actions)
+        terminated, truncated = reached.is_terminated.numpy(), reached.is_truncated.numpy()
+        info = self._final_info(reached, terminated | truncated)
+        reward = reached.reward.numpy().astype(np.float64)
+        return _grids(reached.observation), reward, terminated, truncated, info
+
+    def _mask(self, mask: Any) -> torch.Tensor:
+        is_mask = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
+        if not (is_mask and mask.any()):
+            allowed = f"a NumPy array of {self.num_envs} bools, one of them true"
+            raise UserError(f"options.{RESET_MASK} must be {allowed}, got {_in_one_line(mask)}")
+        return torch.from_numpy(mask)
+
+    def _final_info(self, reached: Transition, is_done: np.ndarray) -> dict[str, Any]:
+        """gymnasium's layout: `final_obs` and `final_info` with masks `_final_obs` and `_final_info`."""
+        if not is_done.any():
+            return {}
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        grids = _grids(reached.final_observation)
+        for row, world in enumerate(is_done.nonzero()[0]):
+            final_obs[world] = grids[row]
+        final_info = {
+            "is_success": reached.is_success.numpy(),
+            "_is_success": is_done,
+            "is_collision": reached.is_collision.numpy(),
+            "_is_collision": is_done,
+        }
+        return {
+            "final_obs": final_obs,
+            "_final_obs": is_done,
+            "final_info": final_info,
+            "_final_info": is_done,
+        }
+
+
+def _grids(observation: torch.Tensor) -> np.ndarray:
+    return (observation * OCCUPIED).numpy()
+
+
+def _check_render_mode(render_mode: str | None) -> None:
+    if render_mode is not None:
+        raise UserError(f"render_mode must be None, got {_in_one_line(render_mode)}")
+
+
+def _check_options(options: dict[str, Any] | None, *allowed: str) -> None:
+    for key in options or {}:
+        if key not in allowed:
+            raise UserError(f"options must be {' or '.join(allowed) or 'empty'}, got the key {_in_one_line(key)}")
+
+
+def _in_one_line(value: Any) -> str:
+    return shown(" ".join(repr(value).split()))
+
+
+gymnasium.register(
+    ENV_ID,
+    entry_point="negopipe.envs.gymnasium:NarrowLaneEnv",
+    vector_entry_point="negopipe.envs.gymnasium:NarrowLaneVectorEnv",
+)

@@ -1,0 +1,56 @@
+"""What a run is and how it went, in words: the text at the top of its page in the dashboard."""
+
+from typing import TYPE_CHECKING, Any
+
+from negopipe.report.figures import planner_label, setting_label
+from negopipe.report.headlines import headlines, standing
+from negopipe.report.page import settings_in_order
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+    from negopipe.tracking.store import TrackedRun
+
+
+def what_it_is(config: "RunConfig") -> str:
+    """Where the policy comes from and what it is put to."""
+    return f"{config.name}, seed {config.seed}: {_origin(config)}{_trial(config)}"
+
+
+def _trial(config: "RunConfig") -> str:
+    if "evaluate" not in config.stages:
+        return ""
+    settings = [setting_label(setting).lower() for setting in config.evaluation.settings]
+    rivals = [planner_label(name, config.evaluation.fixed_horizons_s) for name in config.evaluation.rivals] or [
+        "nobody"
+    ]
+    tasks = f"{config.evaluation.n_episodes:,} held-out tasks each of {' and '.join(settings)}"
+    return f" Evaluated on {tasks}, against {', '.join(rivals)}."
+
+
+def _origin(config: "RunConfig") -> str:
+    if "train" not in config.stages:
+        return f"the policy of checkpoint {config.checkpoint}." if config.checkpoint else "a policy trained before."
+    n_decisions = config.algorithm.n_worlds * config.algorithm.n_steps
+    stages = ", ".join(f"{stage.name} {stage.n_iterations * n_decisions:,}" for stage in config.curriculum.stages)
+    start = f" on from checkpoint {config.checkpoint}" if config.checkpoint else ""
+    return f"a policy trained by {config.algorithm.kind}{start}, decisions by stage: {stages}{_shown(config)}."
+
+
+def _shown(config: "RunConfig") -> str:
+    demonstrations = config.curriculum.demonstrations
+    if demonstrations is None:
+        return ""
+    n_tasks = demonstrations.n_tasks * len(config.curriculum.stages[-1].families)
+    return f", shown what a search that knows everything finds on {n_tasks} training tasks"
+
+
+def tell_how_it_went(config: "RunConfig", run: "TrackedRun", results: dict[str, Any]) -> None:
+    """The run's description, and a tag to filter by: `standing`, against the best of the other planners.
+
+    results: `evaluation` and `versus_adaptive` of metrics.json
+    """
+    settings = settings_in_order(results["evaluation"], config.evaluation.leading_setting)
+    evaluation = {setting: results["evaluation"][setting] for setting in settings}
+    verdicts = headlines(evaluation, results["versus_adaptive"], config.evaluation.fixed_horizons_s)
+    run.set_tags({"standing": standing(evaluation, results["versus_adaptive"])})
+    run.set_description("\n\n".join([what_it_is(config), *(" ".join(lines) for lines in verdicts)]))

@@ -1,0 +1,113 @@
+"""What a run computes with: device, compiled or not, how many threads. Chosen once, at the run's first start."""
+
+import ctypes
+import importlib
+import json
+import logging
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from negopipe import environment
+from negopipe.errors import UserError
+from negopipe.game.environment import has_compiler
+from negopipe.tracking.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+
+log = logging.getLogger("negopipe")
+
+BACKEND_NAME = "backend.json"
+MAX_THREADS = 4
+"""More do not make worlds of this size faster; a machine's other cores are for other runs."""
+
+
+def settle(config: "RunConfig", folder: Path) -> "RunConfig":
+    """The config with every `auto` of device, compile and n_threads replaced by what it stands for.
+
+    The choice is kept in `folder`, so that a run which goes on computes as it began, whatever has changed on the
+    machine: other rounding would make it another run. A value that is given counts as given.
+    """
+    kept = kept_choices(folder)
+    chosen = kept or _choose()
+    if not kept:
+        keep_choices(folder, chosen)
+    settled = replace(
+        config,
+        device=chosen["device"] if config.device == "auto" else config.device,
+        compile=chosen["compile"] if config.compile == "auto" else config.compile,
+        n_threads=chosen["n_threads"] if config.n_threads == "auto" else config.n_threads,
+    )
+    _check(settled)
+    how = "compiled (the first step takes up to a minute)" if settled.compile == "on" else "not compiled"
+    since = ", as when the run began" if kept else ""
+    log.info(f"backend    {settled.device}, {settled.n_threads} threads, simulator {how}{since}")
+    return settled
+
+
+def kept_choices(folder: Path) -> dict[str, Any]:
+    """What the run in `folder` has chosen so far, by key; empty at its first start."""
+    path = folder / BACKEND_NAME
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def keep_choices(folder: Path, choices: dict[str, Any]) -> None:
+    """Keep these beside what is kept already."""
+    content = json.dumps(kept_choices(folder) | choices, indent=2) + "\n"
+    write_whole(folder / BACKEND_NAME, content.encode())
+
+
+def prepare(config: "RunConfig") -> None:
+    """Set torch up for a settled config."""
+    torch.set_num_threads(int(config.n_threads))
+    keep_freed_memory()
+    if config.compile == "on":
+        _set_up_compiler()
+    if config.device == "cuda":
+        environment.default("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+        torch.use_deterministic_algorithms(True, warn_only=True)
+        torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
+
+
+def _set_up_compiler() -> None:
+    """Make room, since a sweep's jobs share a process and each compiles its own scenario; and compile in the thread
+    that asks, since a forked process would wait for ever for threads that only its parent has.
+    """
+    dynamo = importlib.import_module("torch._dynamo")  # takes seconds, which only a compiled run should wait for
+    dynamo.reset()
+    dynamo.config.fail_on_recompile_limit_hit = True  # rather than going on uncompiled, many times slower
+    importlib.import_module("torch._inductor").config.compile_threads = 1
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep large blocks that are freed, instead of handing them back and fetching them zeroed again.
+
+    Without this, every tensor of some 100 kB costs its page faults anew: four times the whole of an eager plan.
+    """
+    if sys.platform != "linux":
+        return
+    m_trim_threshold, m_mmap_threshold = -1, -3  # malloc.h
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(m_mmap_threshold, 1 << 30)
+        mallopt(m_trim_threshold, (1 << 31) - 1)
+
+
+def _choose() -> dict[str, Any]:
+    return {
+        "device": "cuda" if torch.cuda.is_available() else "cpu",
+        "compile": "on" if has_compiler() else "off",
+        "n_threads": min(MAX_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1),
+    }
+
+
+def _check(config: "RunConfig") -> None:
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise UserError("device must be auto or cpu on a machine without CUDA, got cuda")
+    if config.device == "cpu" and config.compile == "on" and not has_compiler():
+        raise UserError("compile must be off (or auto, for a new run) where no C++ compiler is found, got on")

@@ -1,0 +1,128 @@
+"""What a run's network computes with: precision and memory format. Chosen once, by a timing at its first start."""
+
+import logging
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import partial, reduce
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from negopipe.benchmark.speed import block_seconds
+from negopipe.policy.actor_critic import PolicyConfig, grid_actor_critic, recast
+from negopipe.runtime.backend import keep_choices, kept_choices
+from negopipe.runtime.build import device_of
+from negopipe.runtime.network_passes import forward_backward, minibatch_sizes, random_grids
+from negopipe.tensors.seeding import generator
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+
+log = logging.getLogger("negopipe")
+
+STAGES = {"train", "evaluate", "benchmark"}
+"""Those that build a network; the others do not wait for a timing."""
+
+PREFERRED = {"precision": ("float32", "bfloat16"), "memory_format": ("channels_last", "channels_first")}
+"""Keys of the policy, and what `auto` may stand for: the first, unless the second is `GAIN` times as fast."""
+GAIN = 1.05
+"""Fewer digits must pay, and what is as good as equal must not fall to chance: runs of one config would differ."""
+
+N_ROUNDS, ENOUGH_S = 5, 1.5
+"""Each variant is timed so often at most; once so long has been spent, no other round begins."""
+
+N_GRIDS = 128
+"""On a processor so many of a minibatch are timed at most: per grid, variants compare as in larger batches."""
+
+HOPELESS = 4.0
+"""A variant that takes so many times as long as the fastest to warm up is not timed: a processor without bfloat16
+takes seconds for every pass."""
+
+
+class Variant(NamedTuple):
+    precision: str
+    memory_format: str
+
+
+Seconds = dict[Variant, float]
+
+
+def settle(config: "RunConfig", folder: Path) -> "RunConfig":
+    """The config with every `auto` of policy.precision and policy.memory_format replaced by what is faster here.
+
+    Torch must have been prepared for the config (`backend.prepare`), whose device and threads the timing takes. The
+    choice is kept beside the backend's in `folder`, for a run that goes on; a value that is given counts as given.
+    """
+    autos = [key for key in PREFERRED if getattr(config.policy, key) == "auto"]
+    kept = {key: value for key, value in kept_choices(folder).items() if key in autos}
+    policy = replace(config.policy, **kept)
+    how = ", as when the run began" if kept else ""
+    if not STAGES & set(config.stages):
+        return replace(config, policy=policy)
+    if len(kept) < len(autos):
+        seconds = time_variants(config, variants(policy))
+        chosen = fastest(seconds)
+        policy = replace(policy, **chosen._asdict())
+        keep_choices(folder, {key: getattr(policy, key) for key in autos})
+        how = f" (forward and backward of {_n_timed(config)}: {_comparison(seconds, chosen)})"
+    log.info(f"network    {policy.precision}, {policy.memory_format}{how}")
+    return replace(config, policy=policy)
+
+
+def variants(policy: PolicyConfig) -> list[Variant]:
+    """All that the policy's config leaves open, the preferred ones first."""
+    given = {key: getattr(policy, key) for key in PREFERRED}
+    values = [among if given[key] == "auto" else (given[key],) for key, among in PREFERRED.items()]
+    return [Variant(*pair) for pair in product(*values)]
+
+
+def time_variants(config: "RunConfig", among: Iterable[Variant]) -> Seconds:
+    """Forward and backward of a minibatch, the shortest of a few times, s; without those that are hopeless.
+
+    Taken in turns, so that a slow moment of the machine hits all alike.
+    """
+    device, seen = device_of(config), config.observation
+    shape = (seen.n_frames, seen.n_cells, seen.n_cells)
+    grids = random_grids(_n_timed(config), shape, device)
+    policy = grid_actor_critic(config.policy, shape, device, generator(config.seed, "timing"))
+    policies = {variant: recast(policy, *variant) for variant in among}
+
+    def turn(n: int) -> Seconds:
+        return {v: block_seconds(partial(forward_backward, p, grids[:n]), 1, device) for v, p in policies.items()}
+
+    started_s = time.perf_counter()
+    forward_backward(policy, grids[:1])  # torch starts its threads
+    warm_up = turn(-(-len(grids) // 8))
+    policies = {v: p for v, p in policies.items() if warm_up[v] <= HOPELESS * min(warm_up.values())}
+    rounds = [turn(len(grids))]
+    while len(rounds) < N_ROUNDS and time.perf_counter() - started_s < ENOUGH_S:
+        rounds.append(turn(len(grids)))
+    return {variant: min(seconds[variant] for seconds in rounds) for variant in policies}
+
+
+def fastest(seconds: Seconds) -> Variant:
+    """Of each precision the faster memory format, and of these the faster precision; see `PREFERRED`."""
+    precisions = dict.fromkeys(variant.precision for variant in seconds)
+    winners = [_leader(seconds, [v for v in seconds if v.precision == name]) for name in precisions]
+    return _leader(seconds, winners)
+
+
+def _leader(seconds: Seconds, among: list[Variant]) -> Variant:
+    return reduce(lambda best, other: other if seconds[other] * GAIN <= seconds[best] else best, among)
+
+
+def _n_timed(config: "RunConfig") -> int:
+    n = max(minibatch_sizes(config.algorithm))
+    return n if device_of(config).type == "cuda" else min(n, N_GRIDS)
+
+
+def _comparison(seconds: Seconds, chosen: Variant) -> str:
+    """The time of the choice, and that of the best of the other precision, or else of the other memory format."""
+    said = f"{1e3 * seconds[chosen]:.3g} ms"
+    others = [v for v in seconds if v.precision != chosen.precision] or [v for v in seconds if v != chosen]
+    if not others:
+        return f"{said}; all else takes many times as long"
+    rival = min(others, key=lambda variant: seconds[variant])
+    name = rival.memory_format if rival.precision == chosen.precision else rival.precision
+    return f"{said}; {name} {1e3 * seconds[rival]:.3g} ms"

@@ -1,0 +1,112 @@
+"""What a search with full knowledge found earlier, driven as the planner `oracle` beside the others."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from negopipe.errors import UserError
+from negopipe.evaluation.replay import replay
+from negopipe.evaluation.trace import ORACLE, Trace
+from negopipe.game.environment import Game
+from negopipe.search.horizon_text import from_text
+from negopipe.simulation.state import EGO, NEAREST, Task, map_tensors
+from negopipe.tracking.csv_file import CsvKind, read_csv
+from negopipe.tracking.pretrained import find_oracle
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+
+SAME_RETURN = 1e-3
+"""Returns this close are of the same drive; steps cost more."""
+SAME_START_M = 1e-3
+DOES_NOT_FIT = "what comes with negopipe was found for another road, planner, reward or other tasks"
+"""Said where such a table is left out."""
+START = ("ego_start_distance_m", "social_start_distance_m", "style_horizon_s")
+COLUMNS = ("setting", "episode", "horizons", "reward", *START)
+"""What it takes to drive it."""
+ORACLE_TABLE = CsvKind(
+    "the stage `oracle`",
+    {
+        "setting": str,
+        "episode": int,
+        **dict.fromkeys(START, float),
+        "outcome": str,
+        "reward": float,
+        "ego_time_s": float,
+        "social_time_s": float,
+        "horizons": str,
+        "best_fixed_horizon_s": float,
+        "best_fixed_reward": float,
+        "fixed_*_outcome": str,
+        "fixed_*_reward": float,
+        "n_switches": int,
+    },
+)
+"""oracle.csv: a row per task, `stages.oracle.table` with the number of switches."""
+
+
+@dataclass(frozen=True)
+class OracleTable:
+    """rows: those of an oracle.csv that hold horizons; comes_along: it is the one that comes with negopipe"""
+
+    rows: pd.DataFrame
+    comes_along: bool
+
+    def has(self, setting: str) -> bool:
+        return bool((self.rows["setting"] == setting).any())
+
+
+def read_oracle(reference: str) -> OracleTable:
+    """The table that `evaluation.oracle` names; UserError if there is none, or one without horizons."""
+    path = find_oracle(reference)
+    if not path.is_file():
+        raise UserError(
+            f"evaluation.oracle must be pretrained or an oracle.csv as +experiment=oracle writes it, got {path}: "
+            "no such file"
+        )
+    try:
+        table = read_csv(path, ORACLE_TABLE, COLUMNS)
+    except UserError as error:
+        raise UserError(f"evaluation.oracle must be an oracle.csv with horizons: {error}") from error
+    if (table["horizons"] == "").all():
+        raise UserError(f"evaluation.oracle must be an oracle.csv with horizons, got {path}: its column is empty")
+    return OracleTable(table[table["horizons"] != ""], comes_along=path != Path(reference))
+
+
+def drive_oracle(config: "RunConfig", game: Game, tasks: Task, oracle: OracleTable, setting: str) -> Trace | None:
+    """The drives of what was found for the first of a setting's tasks; what they return shows whether it was.
+
+    A table that comes with negopipe is cut to the tasks that there are, and None is returned where it is of others.
+    Any other is the user's word: UserError if it is not of these.
+    """
+    found = oracle.rows[oracle.rows["setting"] == setting]
+    if oracle.comes_along:
+        found = found.head(len(tasks))
+    elif found["episode"].tolist() != list(range(len(found))) or len(found) > len(tasks):
+        said = f"{len(found)} tasks up to {found['episode'].max()}"
+        raise UserError(f"evaluation.oracle must be of the first of the {len(tasks)} tasks of {setting}, got {said}")
+    sequences, longest = list(map(from_text, found["horizons"])), game.simulator.scenario.episode_steps
+    got = "longer episodes"
+    if max(map(len, sequences)) <= longest and (_is_of(found, tasks) or not oracle.comes_along):
+        driven = map_tensors(lambda field: field[: len(found)], tasks)
+        trace = replay(game, driven, sequences, config.evaluation.reward, (ORACLE, setting))
+        returned = trace.reward.sum(0, dtype="float64")
+        if (abs(returned - found["reward"].to_numpy()) < SAME_RETURN).all():
+            return trace
+        got = f"{returned.mean():.2f}"
+    if oracle.comes_along:
+        return None
+    expected = f"{found['reward'].mean():.2f} on average in {setting}, as it says, got {got}"
+    raise UserError(f"evaluation.oracle must be of this road, planner and reward and return {expected}")
+
+
+def _is_of(found: pd.DataFrame, tasks: Task) -> bool:
+    """The rows are of the first tasks: the same starts and styles."""
+    drawn = (tasks.start_distance[:, EGO], tasks.start_distance[:, NEAREST], tasks.style_horizon[:, NEAREST])
+    return all(
+        np.allclose(found[column].to_numpy(float), values[: len(found)].cpu().numpy(), rtol=0.0, atol=SAME_START_M)
+        for column, values in zip(START, drawn, strict=True)
+    )

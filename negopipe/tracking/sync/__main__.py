@@ -1,0 +1,54 @@
+"""`python -m negopipe.tracking.sync.__main__ <outputs> [<uri>]`: tell a store all that it has not been told yet.
+
+After an outage, from a machine without a network to a server, or to make a lost store anew: the run folders have it
+all. Runs that a process works on are left to it, dead ones end as KILLED. Giving it again does no harm.
+"""
+
+import sys
+from pathlib import Path
+
+from negopipe.errors import UserError
+from negopipe.tracking.database import connect, first_line, follow_move, sqlite_file, store_lock, unreachable
+from negopipe.tracking.sync.dead_runs import close_if_dead
+from negopipe.tracking.sync.journal import JOURNAL_NAME
+
+
+def deliver(outputs: Path, uri: str | None) -> int:
+    """The number of runs that the store at `uri`, None = the one in `outputs`, knows all of now.
+
+    Raises UserError where it can be no store, MlflowException or OSError where it is out of reach.
+    """
+    outputs = outputs.absolute()
+    sqlite_file(outputs, uri)
+    folders = [path.parent for path in sorted(outputs.glob(f"*/*/{JOURNAL_NAME}"))]
+    if not folders:
+        raise UserError(f"outputs must be a folder with runs (<outputs>/<name>/<run>), got {outputs}")
+    n_delivered = 0
+    with store_lock(outputs):
+        follow_move(outputs, uri)
+        client = connect(outputs, uri)
+        for folder in folders:
+            try:
+                is_told = close_if_dead(folder, outputs, uri, client) is not None
+                what = "delivered" if is_told else "in use, left alone"
+            except (ValueError, KeyError) as error:
+                is_told, what = False, f"left as it is, its journal cannot be read: {error}"
+            n_delivered += is_told
+            print(f"{folder.relative_to(outputs)}  {what}", flush=True)
+    return n_delivered
+
+
+def main(arguments: list[str]) -> int:
+    if not 1 <= len(arguments) <= 2 or arguments[0].startswith("-"):
+        print(__doc__)
+        return 0 if arguments in (["-h"], ["--help"]) else 2
+    try:
+        deliver(Path(arguments[0]), arguments[1] if len(arguments) > 1 else None)
+    except unreachable() as error:
+        print(first_line(error), file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,102 @@
+"""What a training is shown: for tasks of its own the best horizons that a search finds, knowing everything.
+
+The tasks are drawn as those of the training are, from a stream of their own, so no held-out task is among them. The
+policy sees of a demonstration what it sees of its own drives, the grids, and nothing of what the search knew.
+"""
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+import torch
+from torch import Tensor
+
+from negopipe.game.environment import Game
+from negopipe.learning.demonstrations import Demonstrations, DemonstrationsConfig
+from negopipe.runtime.progress import ProgressLine
+from negopipe.search.horizon_text import from_text, to_text
+from negopipe.search.oracle import Rollouts, Sequences, best_simple, improve, simplify
+from negopipe.simulation.scenario import TaskSampler
+from negopipe.simulation.state import EGO, Task
+from negopipe.tensors.seeding import generator
+from negopipe.tensors.torch_settings import one_thread
+from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
+from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+
+log = logging.getLogger("negopipe")
+
+DEMONSTRATIONS = CsvKind("the stage `train`", {"family": str, "reward": float, "horizons": str})
+"""demonstrations.csv: a row per task."""
+
+
+def demonstrations(config: "RunConfig", game: Game, folder: Path | None) -> Demonstrations | None:
+    """What the curriculum wants to be shown, None where that is nothing.
+
+    folder: of the run, which keeps what is found; None = search anew
+    """
+    wanted = config.curriculum.demonstrations
+    if wanted is None:
+        return None
+    tasks = demonstrated_tasks(config, wanted, game.planner.times.device)
+    path = None if folder is None else folder / DEMONSTRATIONS_NAME
+    if path is None or not path.is_file():
+        table = _search(config, wanted, game, tasks)
+        if path is not None:
+            write_csv(path, table, DEMONSTRATIONS)
+    else:
+        table = read_csv(path, DEMONSTRATIONS, DEMONSTRATIONS.columns)
+    texts = {name: table.loc[table["family"] == name, "horizons"].tolist() for name in tasks}
+    seen = [_replay(config, game, drawn, texts[name]) for name, drawn in tasks.items()]
+    observation, action = (torch.cat(parts) for parts in zip(*seen, strict=True))
+    return Demonstrations(wanted, observation, action)
+
+
+def demonstrated_tasks(config: "RunConfig", wanted: DemonstrationsConfig, device: torch.device) -> dict[str, Task]:
+    """Of each family of the last stage, by its name."""
+    scenario, families = config.curriculum.scenario(config.scenario), config.curriculum.stages[-1].families
+    streams = {name: generator(config.seed, f"demonstrated tasks {name}", device) for name in families}
+    return {
+        name: TaskSampler(scenario, {name: family}, streams[name]).draw(wanted.n_tasks)
+        for name, family in families.items()
+    }
+
+
+@one_thread()
+def _search(config: "RunConfig", wanted: DemonstrationsConfig, game: Game, tasks: dict[str, Task]) -> pd.DataFrame:
+    """A row per task: family, reward and horizons."""
+    rollouts, found = Rollouts(game, config.policy.horizons_s, config.reward), []
+    with ProgressLine("demonstrate", len(tasks) * 2 * wanted.rounds) as progress:
+        for name, drawn in tasks.items():
+            random = generator(config.seed, f"demonstrations {name}", drawn.family.device)
+            best = best_simple(rollouts, drawn, may_switch_twice=False)
+            for change in (*[improve] * wanted.rounds, *[simplify] * wanted.rounds):
+                best = change(rollouts, drawn, best, wanted.population, random)
+                progress.advance(f"{name}, return {best.reward.mean():.2f}")
+            found.append(_table(name, best, config.policy.horizons_s))
+    return pd.concat(found)
+
+
+def _table(name: str, best: Sequences, horizons_s: tuple[float, ...]) -> pd.DataFrame:
+    horizon = torch.tensor(horizons_s)[best.actions.T.cpu()].numpy()
+    texts = to_text(horizon, best.n_steps.cpu().numpy())
+    return pd.DataFrame({"family": name, "reward": best.reward.cpu().numpy(), "horizons": texts})
+
+
+def _replay(config: "RunConfig", game: Game, tasks: Task, texts: list[str]) -> tuple[Tensor, Tensor]:
+    """Grids [D, F, H, W] uint8 and actions [D] int64 of all decisions of N drives."""
+    horizons_s, device = list(config.policy.horizons_s), tasks.family.device
+    chosen = [torch.tensor([horizons_s.index(h) for h in from_text(text).tolist()], device=device) for text in texts]
+    horizons, world = torch.tensor(horizons_s, device=device), game.simulator.reset(tasks)
+    grids, seen, actions = game.see(world), [], []
+    for action in torch.nn.utils.rnn.pad_sequence(chosen, padding_value=-1):
+        is_driving = action >= 0
+        seen.append(grids[is_driving])
+        actions.append(action[is_driving])
+        horizon = world.style_horizon.clone()
+        horizon[:, EGO] = horizons[action]
+        world, _, grids = game.advance(world, horizon)
+    return torch.cat(seen), torch.cat(actions)

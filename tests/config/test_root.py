@@ -1,0 +1,271 @@
+"""conf/ composes and builds, wrong values are named in one line, run names change with the result only."""
+
+import dataclasses
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
+
+from negopipe import CONF
+from negopipe.config.messages import as_text, unknown_key
+from negopipe.config.root import RESULT_NEUTRAL, RunConfig, as_mapping, load, run_name
+from negopipe.envs.gymnasium import compose_config
+from negopipe.errors import UserError
+
+ROOT = Path(__file__).parent.parent
+OPTIONS = sorted(path.relative_to(CONF).with_suffix("") for path in CONF.glob("*/**/*.yaml"))
+
+
+def build(*overrides: str) -> RunConfig:
+    return compose_config(overrides)
+
+
+def job_commands() -> list[list[str]]:
+    """Arguments of every `python -m negopipe` in jobs/*.sh, without what the caller of the script may add."""
+    commands = []
+    for script in sorted((ROOT / "jobs").glob("*.sh")):
+        text = script.read_text(encoding="utf-8").replace("\\\n", " ")
+        for call in re.findall(r"^[^#\n]*python3? -m negopipe(?![.\w])(.*)$", text, flags=re.MULTILINE):
+            words = shlex.split(re.split(r"[|;&>]", call)[0], comments=True)
+            commands.append([word for word in words if word not in ("$@", "$*")])
+    return commands
+
+
+@pytest.mark.parametrize("option", OPTIONS, ids=str)
+def test_every_option_composes_and_builds(option: Path) -> None:
+    plus = "+" if option.parts[0] == "experiment" else ""
+    alone = ["report.side_by_side=[]"] if option.parent.name == "rival" else []
+    build(f"{plus}{option.parent}={option.name}", *alone)
+
+
+@pytest.mark.parametrize("words", job_commands(), ids=" ".join)
+def test_every_job_composes_and_builds(words: list[str]) -> None:
+    overrides = OverridesParser.create().parse_overrides([word for word in words if not word.startswith("-")])
+    is_sweep = bool({"-m", "--multirun"} & set(words))
+    assert is_sweep or not any(override.is_sweep_override() for override in overrides)
+    (runs,) = BasicSweeper.split_arguments(overrides, max_batch_size=None)
+    for run in runs:
+        build(*[word for word in run if not word.lstrip("+").startswith("hydra")])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "line"),
+    [
+        (["planner.horizon_s=-1.0"], "planner.horizon_s must be greater than 0, got -1.0"),
+        (["seed=true"], "seed must be a valid integer, got true"),
+        (["seed=one"], "seed must be a valid integer, got one"),
+        (["outputs=null"], "outputs must be a valid string, got null"),
+        (["device=tpu"], "device must be one of auto, cpu, cuda, got tpu"),
+        (
+            ["stages=[train,rest]"],
+            "stages.1 must be one of train, evaluate, report, replay, behaviour_map, oracle, benchmark, got rest",
+        ),
+        (["stages=train"], "stages must be a list, got train"),
+        (["stages=[]"], "stages must have at least 1 item, got []"),
+        (["seed=???"], "seed is missing"),
+        (["name='a\nb'"], "name must match pattern '^[A-Za-z0-9][A-Za-z0-9_.-]*$', got a\\nb"),
+        ([f"device={'x' * 500}"], f"device must be one of auto, cpu, cuda, got {'x' * 97}..."),
+        (
+            ["checkpoint='~nobody_at_all/x'"],
+            "checkpoint must begin with the name of a user where it begins with ~, got",
+        ),
+        ([f"outputs={'x' * 300}"], "outputs must be a path of printable characters, at most 1000 in all and 255 byt"),
+        (
+            ["+scenario.families={2024_05: ${scenario.families.push}}"],
+            "scenario.families must have texts as names, got 202405: in double quotes it is a text",
+        ),
+        (["objective=[1e3]"], "objective.0 must be a valid string, got 1000.0, which is a text in double quotes"),
+        (["+scenario.families={a b: null}"], "scenario.families.a b must match pattern"),
+        (["planner.cost.jerk=1e39"], "planner.cost.jerk must be less than or equal to 1000000, got 1e+39"),
+        (["algorithm.kl_clip=1e-300"], "algorithm.kl_clip must be at least 1e-06, got 1e-300"),
+        (["scenario.road.width_m=1e5"], "scenario.road.width_m must be less than or equal to 1000, got 100000.0"),
+        (["algorithm.n_worlds=1", "algorithm.n_steps=1"], "algorithm n_worlds 1 times n_steps 1 must be at least 2"),
+        (["scenario.dt_s=0.001"], "planner.horizon_s must be between scenario.dt_s = 0.001 and 1000 times as much, g"),
+        (["scenario.episode_steps=20000"], "scenario.episode_steps must be at most 3600 s / scenario.dt_s = 18000, g"),
+        (["perception.delay_s=1000.0"], "perception.delay_s must be at most 1000 times scenario.dt_s = 0.2, got 1000"),
+        (
+            ["algorithm.n_worlds=100000"],
+            "a rollout must take at most 16 GiB, got about 84 GiB by algorithm.n_worlds = 100000, algorithm.n_steps ",
+        ),
+        (["policy.conv.1.stride=1000000"], "policy.conv.1.stride must be less than or equal to 100, got 1000000"),
+        (["policy.conv.0.channels=1000000"], "the network must take at most 16 GiB, got about"),
+        (["policy.encoder_width=1000000"], "the network must take at most 16 GiB, got about"),
+        (["planner.clearance.station_m=1e-5"], "the planner's paths must take at most 16 GiB, got about"),
+        (["planner.clearance.conflict_station_m=1e-5"], "the planner's checks must take at most 16 GiB, got about"),
+        (["scenario.n_social=100"], "the planner's candidates must take at most 16 GiB, got about"),
+        (["observation.frame_interval_s=100.0", "algorithm.n_worlds=100000"], "the worlds' past must take at most 16"),
+        (["scenario.road.n_parked_per_side=101"], "scenario.road.n_parked_per_side must be less than or equal to 100"),
+        (["scenario=bent_street", "scenario.road.bends.0.length_m=0.01"], "scenario.road bends must have a radius of"),
+        (["report.animation_fps=100"], "report.animation_fps must be less than or equal to 50, got 100"),
+        (["name=a/b"], "name must match pattern '^[A-Za-z0-9][A-Za-z0-9_.-]*$', got a/b"),
+        (["++planner.limits=3"], "planner.limits must be a mapping, got 3"),
+        (["~planner.horizon_s"], "planner.horizon_s is missing"),
+        (
+            ["seed=-1", "device=tpu"],
+            "seed must be greater than or equal to 0, got -1; device must be one of ",
+        ),
+        (["seed=${nothing}"], "seed cannot be resolved: Interpolation key 'nothing' not found"),
+        (
+            ["planner.prediction.model=magic"],
+            "planner.prediction.model must be one of constant_velocity, constant_accel",
+        ),
+        (
+            ["planner/prediction=constant_acceleration", "planner.prediction.hold_s=0"],
+            "planner.prediction.hold_s must be ",
+        ),
+        (["+planner.prediction.hold_s=1.0"], "planner.prediction.hold_s is not a known key, allowed: "),
+        (["planner.horizon_s=3.0"], "policy.horizons_s must be at most planner.horizon_s = 3.0, got 6.0"),
+        (
+            ["+evaluation.rivals.adaptive={kind: fixed, horizon_s: 0.0, n_episodes: null}"],
+            "evaluation.rivals must not name one adaptive, which is the policy",
+        ),
+        (
+            ["evaluation.rivals.fixed_6.horizon_s=8.0"],
+            "evaluation.rivals.fixed_6 must be at most planner.horizon_s = 6.0, got 8.0",
+        ),
+        (
+            ["curriculum=three_stages", "curriculum.stages.0.families.push.style_horizon_s=[2.0,7.0]"],
+            "curriculum.stages.0.families.push.style_horizon_s must be at most planner.horizon_s = 6.0, got ",
+        ),
+        (
+            ["observation.frame_interval_s=0.5"],
+            "observation.frame_interval_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
+        ),
+        (["+dynamics.foo=1"], "dynamics.foo is not a known key, allowed: model"),
+        (["dynamics=bicycle", "dynamics.wheelbase_m=0"], "dynamics.wheelbase_m must be greater than 0, got 0"),
+        (["dynamics=bicycle", "~dynamics.wheelbase_m"], "dynamics.wheelbase_m is missing"),
+        (["dynamics=bicycle", "+dynamics.wheelbas_m=1"], "dynamics.wheelbas_m is not a known key, did you mean wheelb"),
+        (["dynamics.model=magic"], "dynamics.model must be one of perfect, bicycle, got magic"),
+        (["~dynamics.model"], "dynamics.model is missing"),
+        (
+            ["dynamics=bicycle", "dynamics.actuation_delay_s=0.1"],
+            "dynamics.actuation_delay_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+        ),
+        (["policy.horizons_s=[0.1,2.0]"], "policy.horizons_s must be a multiple of scenario.dt_s = 0.2, got 0.1"),
+        (["policy.horizons_s=[1e-9,2.0]"], "policy.horizons_s must be a multiple of scenario.dt_s = 0.2, got 1e-09"),
+        (["planner.horizon_s=6.5"], "planner.horizon_s must be a multiple of scenario.dt_s = 0.2, got 6.5"),
+        (["evaluation.rivals.fixed_2.horizon_s=2.1"], "evaluation.rivals.fixed_2 must be a multiple of scenario.dt_s"),
+        (
+            ["evaluation/rival=random", "evaluation.rivals.random.keep_s=0.1", "report.side_by_side=[]"],
+            "evaluation.rivals.random.keep_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+        ),
+        (
+            ["evaluation/rival=level_k", "evaluation.rivals.level_k.lookahead_s=0.5", "report.side_by_side=[]"],
+            "evaluation.rivals.level_k.lookahead_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
+        ),
+        (
+            ["scenario.families.push.style_horizon_s=[0.1]"],
+            "scenario.families.push.style_horizon_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+        ),
+        (
+            ["scenario.families.mixture_switching.style_switch.style_horizon_s=[5.9]"],
+            "scenario.families.mixture_switching.style_switch.style_horizon_s must be a multiple of scenario.dt_s",
+        ),
+        (
+            ["stages=[behaviour_map]", "behaviour_map.styles_s=[0.3]"],
+            "behaviour_map.styles_s must be a multiple of scenario.dt_s = 0.2, got 0.3",
+        ),
+        (["policy.horizons_s=[0,0,2]"], "policy.horizons_s must name every value once, not 0.0 again, got [0, 0, 2]"),
+        (["evaluation.settings=[push,push]"], "evaluation.settings must name every value once, not push again"),
+        (["stages=[train,train]"], "stages must name every value once, not train again"),
+        (["report.side_by_side=[fixed_2,fixed_2]"], "report.side_by_side must name every value once, not fixed_2 "),
+        (["report.figure_formats=[png,png]"], "report.figure_formats must name every value once, not png again"),
+        (["oracle.settings=[push,push]"], "oracle.settings must name every value once, not push again"),
+        (["benchmark.n_worlds=[1,1]"], "benchmark.n_worlds must name every value once, not 1 again"),
+        (["scenario.ego_start_distance_m=[0,5]"], "scenario.ego_start_distance_m must be greater than 0, wh"),
+        (
+            ["scenario.families.push.start_distance_m=[0,0]"],
+            "scenario.families.push.start_distance_m must be greater than 0, where the corridor begins, got [0.0, 0.0]",
+        ),
+        (["scenario.desired_speed_mps=[0,6]"], "scenario.desired_speed_mps.0 must be greater than 0, got 0"),
+        (["perception.delay_s=0.3"], "perception.delay_s must be a multiple of scenario.dt_s = 0.2, got 0.3"),
+        (["perception.accel_window_s=0.05"], "perception.accel_window_s must be a multiple of scenario.dt_s = 0.2, "),
+        (
+            ["observation.n_cells=20"],
+            "policy.conv.2.kernel must be at most 1, what is left there of observation.n_cells = 20, got 3",
+        ),
+        (
+            ["evaluation.settings=[rest]"],
+            "evaluation.settings must be among push, yield, mixture, mixture_switching, got rest",
+        ),
+        (
+            ["scenario.families.mixture_switching.style_switch.style_horizon_s=[7.0]"],
+            "scenario.families.mixture_switching.style_switch.style_horizon_s must be at most planner.",
+        ),
+        (
+            [f"scenario.families.mixture_switching.style_switch.{cause}_s=null" for cause in ("at", "stuck")],
+            "scenario.families.mixture_switching.style_switch must have an interval for at_s or stuck_s, both are null",
+        ),
+        (
+            ["evaluation.leading_setting=rest"],
+            "evaluation.leading_setting must be among push, yield, got rest",
+        ),
+        (["report.side_by_side=[fixed_3]"], "report.side_by_side must be among fixed_0, fixed_2, "),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_wrong_value_is_named_with_what_is_allowed(overrides: list[str], line: str) -> None:
+    with pytest.raises(UserError) as error:
+        build(*overrides)
+    assert str(error.value).startswith(line)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["a=b", "x#y", "model=2.pt", "/tmp/ä b", "2024_05", "null", "a'b", 'a"b', "a\\", "a,b", "~/x", "a&b;c!d<e"]
+)
+def test_what_is_said_of_a_text_is_read_as_that_text(text: str) -> None:
+    suggested = as_text(f"outputs={text}")
+    assert suggested is not None
+    (word,) = shlex.split(suggested)
+    assert build(word).outputs == text
+
+
+@pytest.mark.parametrize("override", ["seed=[1", "outputs='a", "x y=3", "name", "name=", f"name={'=' * 300}"])
+def test_nothing_is_said_where_quotes_are_not_what_is_missing(override: str) -> None:
+    assert as_text(override) is None
+
+
+@pytest.mark.parametrize("key", ["foo", "planner.foo", "planner.limits.foo", "scenario.families.mixture.foo"])
+def test_an_added_key_is_refused_at_every_depth(key: str) -> None:
+    siblings: Any = as_mapping(build())
+    for part in key.split(".")[:-1]:
+        siblings = siblings[int(part) if part.isdigit() else part]
+    with pytest.raises(UserError, match=f"^{re.escape(unknown_key(key, siblings))}$"):
+        build(f"+{key}=1")
+
+
+def test_a_key_in_a_list_item_is_refused() -> None:
+    with pytest.raises(UserError, match=r"policy\.conv\.0\.kernle is not a known key, did you mean kernel\?"):
+        build("policy.conv=[{channels: 1, kernle: 2, stride: 3}]")
+
+
+def test_a_run_is_named_for_what_its_result_depends_on() -> None:
+    same = run_name(build())
+    assert re.fullmatch(r"seed1-[0-9a-f]{8}", same)
+    for override in ("outputs=elsewhere", "stages=[report]", "n_threads=7", "name=other"):
+        assert run_name(build(override)) == same, override
+    assert run_name(build("seed=7")) == same.replace("seed1", "seed7")
+    for override in ("checkpoint=there", "planner.horizon_s=6.4", "compile='off'", "device=cpu"):
+        assert run_name(build(override)) != same, override
+
+
+def test_neutral_keys_exist() -> None:
+    assert {field.name for field in dataclasses.fields(RunConfig)} >= RESULT_NEUTRAL
+
+
+def test_the_config_can_be_read_back_from_its_mapping() -> None:
+    config = build("seed=3")
+    assert load(OmegaConf.create(as_mapping(config))) == config
+
+
+def test_all_rivals_are_all_there_are() -> None:
+    folder = CONF / "evaluation" / "rival"
+    single = {path.stem for path in folder.glob("*.yaml")} - {"all", "paper"}
+    assert set(compose_config(["evaluation/rival=all"]).evaluation.rivals) == single
+    assert list(compose_config().evaluation.rivals) == ["fixed_0", "fixed_2", "fixed_4", "fixed_6"]

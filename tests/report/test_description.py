@@ -1,0 +1,66 @@
+"""The dashboard's description of a run says what it is and how it went."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from tracked import RecordedRun
+
+from negopipe.envs.gymnasium import compose_config
+from negopipe.evaluation.comparison import versus_adaptive
+from negopipe.evaluation.metrics import summary
+from negopipe.report.description import tell_how_it_went, what_it_is
+
+
+def episodes(planner: str, setting: str, n_successes: int) -> pd.DataFrame:
+    is_success = np.arange(100) < n_successes
+    return pd.DataFrame(
+        {
+            "planner": planner,
+            "setting": setting,
+            "episode": range(100),
+            "outcome": np.where(is_success, "success", "collision"),
+            "driving_time_s": np.where(is_success, 9.0, np.nan),
+            "social_time_s": np.where(is_success, 12.0, np.nan),
+            "suspend_count": 0,
+            "suspend_time_s": 0.0,
+            "full_braking_count": 0,
+            "passes_first": "ego",
+            "reward": np.where(is_success, 1.0, -9.0),
+        }
+    )
+
+
+@pytest.mark.parametrize(("theirs", "standing"), [(20, "ahead"), (90, "level"), (100, "behind")])
+def test_it_says_what_it_is_and_how_it_went(tmp_path: Path, theirs: int, standing: str) -> None:
+    run = RecordedRun(tmp_path)
+    table = pd.concat(
+        episodes(planner, setting, n)
+        for setting in ("push", "yield")
+        for planner, n in (("adaptive", 90), ("fixed_2", theirs))
+    )
+    tell_how_it_went(compose_config(["+experiment=yield", "seed=3"]), run, summary(table) | versus_adaptive(table))
+    assert run.tags == {"standing": standing}
+    what, over_all, yielding, pushing = run.description.split("\n\n")
+    assert what.startswith("yield, seed 3: a policy trained by acktr, decisions by stage: wait 163,840, both 573,440.")
+    assert "held-out tasks each of push and yield, against fixed 0\N{NO-BREAK SPACE}s, fixed 2" in what
+    assert over_all.startswith("Over all settings the adaptive planner succeeds")
+    assert (yielding[:5], pushing[:4]) == ("Yield", "Push")
+
+
+def test_a_policy_from_elsewhere_is_named() -> None:
+    config = compose_config(
+        ["+experiment=mixture", "stages=[evaluate]", "checkpoint=pretrained", "evaluation/rival=[]"]
+    )
+    assert "the policy of checkpoint pretrained." in what_it_is(config)
+    assert what_it_is(config).endswith("each of mixture and mixture switching, against nobody.")
+
+
+def test_what_is_not_evaluated_is_not_said_to_be() -> None:
+    assert what_it_is(compose_config(["+experiment=yield", "stages=[train]"])).endswith("both 573,440.")
+
+
+def test_what_was_shown_is_said() -> None:
+    what = what_it_is(compose_config(["+experiment=yield", "stages=[train]", "curriculum=shown"]))
+    assert what.endswith(": full 327,680, shown what a search that knows everything finds on 128 training tasks.")
