@@ -3,5 +3,5 @@
 # of decisions; three seeds, none left out. The report judges the claim.
 set -euo pipefail
 python -m negopipe -m +experiment=yield name=ablation_curriculum stages=[train,evaluate] \
-    evaluation/rival=[] evaluation.n_episodes=1000 curriculum=careful_first,wait_first,three_stages,none seed=1,2,3
+    evaluation/baseline=[] evaluation.n_episodes=1000 curriculum=careful_first,wait_first,three_stages,none seed=1,2,3
 python -m negopipe name=ablation_curriculum_report stages=[report] runs=ablation_curriculum

@@ -6,9 +6,9 @@ set -euo pipefail
 oracle=${ORACLE:-negopipe/pretrained/oracle.csv}
 python -m negopipe +experiment=yield name=results_yield stages=[train,evaluate] evaluation.n_episodes=5000 seed=1
 python -m negopipe -m +experiment=yield name=results_yield stages=[train,evaluate] evaluation.n_episodes=5000 \
-    evaluation/rival=[] seed=2,3,4,5
+    evaluation/baseline=[] seed=2,3,4,5
 python -m negopipe.sweeping.seeds outputs/results_yield --oracle "$oracle"
 python -m negopipe +experiment=mixture name=results_mixture stages=[train,evaluate] evaluation.n_episodes=5000 seed=1
 python -m negopipe -m +experiment=mixture name=results_mixture stages=[train,evaluate] evaluation.n_episodes=5000 \
-    evaluation/rival=[] seed=2,3
+    evaluation/baseline=[] seed=2,3
 python -m negopipe.sweeping.seeds outputs/results_mixture --oracle "$oracle"

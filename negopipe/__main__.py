@@ -31,7 +31,7 @@ from yaml import YAMLError
 
 from negopipe import CONF, environment
 from negopipe.config import hydra_targets
-from negopipe.config.messages import LONGEST_LINE, explain_composition, misread, shown
+from negopipe.config.messages import LONGEST_LINE, abbreviate, explain_composition, misread
 from negopipe.errors import UserError
 from negopipe.sweeping import optuna_sweeper
 
@@ -76,7 +76,7 @@ def _run_command() -> int:
         except (HydraException, OmegaConfBaseException, YAMLError) as error:
             lines = [explain_composition(error)]
         except ValueError as error:  # Hydra's checks of the command line itself; they name no key
-            lines = [shown(f"{error}, got {' '.join(sys.argv[1:])}", LONGEST_LINE)]
+            lines = [abbreviate(f"{error}, got {' '.join(sys.argv[1:])}", LONGEST_LINE)]
         except UserError as error:
             lines = [str(error)]
         except KeyboardInterrupt:
@@ -135,9 +135,9 @@ def run_stages(composed: DictConfig) -> float | None:
     )
     with opened as run:
         log.info("run        %s", _from_here(run.folder))
-        config = backend.settle(config, run.folder)
+        config = backend.resolve_auto(config, run.folder)
         backend.prepare(config)
-        config = network_choice.settle(config, run.folder)
+        config = network_choice.resolve_auto(config, run.folder)
         for name, stage in zip(config.stages, stages, strict=True):
             key = stage_key(config, name)
             if run.has_finished(name, key):

@@ -21,7 +21,7 @@ LARGEST = 1e6
 SMALLEST = 1e-6
 """Of a number that is divided by, with the same in mind: float32 begins at 1e-38."""
 
-FAR_M = 1000.0
+LONGEST_VIEW_M = 1000.0
 """Of any length on the road: the longest view."""
 
 N_MOST = 10**6
@@ -72,8 +72,8 @@ def _is_path(text: str) -> str:
 Real = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 PositiveFloat = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_is_not_tiny)]
 NonNegativeFloat = Annotated[float, Field(ge=0, le=LARGEST)]
-PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M), AfterValidator(_is_not_tiny)]
-NonNegativeMetres = Annotated[float, Field(ge=0, le=FAR_M)]
+PositiveMetres = Annotated[float, Field(gt=0, le=LONGEST_VIEW_M), AfterValidator(_is_not_tiny)]
+NonNegativeMetres = Annotated[float, Field(ge=0, le=LONGEST_VIEW_M)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 PositiveInt = Annotated[int, Field(ge=1, le=N_MOST)]
 NonNegativeInt = Annotated[int, Field(ge=0, le=N_MOST)]

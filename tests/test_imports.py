@@ -22,8 +22,8 @@ FLOORS = (
         "nested",
         "torch_settings",
     ),
-    ("simulation.state", "simulation.geometry", "simulation.chance"),
-    ("simulation.reference_line", "simulation.verge"),
+    ("simulation.state", "simulation.geometry", "tensors.stateless_rng"),
+    ("simulation.reference_line", "simulation.off_road"),
     (
         "simulation.road",
         "simulation.scenario",

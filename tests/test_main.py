@@ -19,7 +19,7 @@ import pytest
 
 import negopipe.__main__ as entry
 from negopipe.config.root import RunConfig
-from negopipe.runtime.interruption import AskedToStop
+from negopipe.runtime.interruption import DeferredInterrupt
 from negopipe.runtime.workers import side_by_side
 from negopipe.tracking.store import TrackedRun
 
@@ -171,7 +171,7 @@ def test_what_stdout_has_no_character_for_is_escaped(command: Command, monkeypat
 
 def test_the_command_line_works_in_a_thread(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     def stage(config: RunConfig, run: TrackedRun) -> None:
-        with AskedToStop():
+        with DeferredInterrupt():
             assert side_by_side([lambda: 1, lambda: 2], 2, lambda _: None) == [1, 2]
 
     replace_stage(monkeypatch, "report", stage)

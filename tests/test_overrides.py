@@ -56,7 +56,7 @@ TINY = (
     "scenario.episode_steps=3", "evaluation.n_episodes=2", "behaviour_map.n_episodes=2", "oracle.n_episodes=2",
     "oracle.population=2", "oracle.settings=[push]", "behaviour_map.horizons_s=[0.0,2.0]",
     "behaviour_map.styles_s=[2.0]", "evaluation.settings=[yield]", "oracle.rounds=1", "benchmark.backends=[eager]",
-    "benchmark.n_worlds=[1,2]", "policy.horizons_s=[0.0,2.0]", "evaluation/rival=[fixed_0,fixed_2]",
+    "benchmark.n_worlds=[1,2]", "policy.horizons_s=[0.0,2.0]", "evaluation/baseline=[fixed_0,fixed_2]",
     "report.side_by_side=[fixed_2]", "benchmark.base_n_worlds=1", "benchmark.min_time_s=0.001",
     "benchmark.n_latencies=2",
 )  # fmt: skip

@@ -11,16 +11,16 @@ from negopipe.schema import PositiveInt, schema
 
 
 @schema
-class Rival(ABC):
+class Baseline(ABC):
     """A config that makes the driver it describes. Each stands in a file of `negopipe.agents.baselines`, and is
-    chosen by one of `conf/evaluation/rival`.
+    chosen by one of `conf/evaluation/baseline`.
 
     n_episodes: it drives the first so many of the evaluation's tasks; null = all of them
     """
 
     n_episodes: PositiveInt | None
 
-    is_in_step: ClassVar[bool] = False
+    is_lockstep: ClassVar[bool] = False
     """Its driver is asked for all worlds of a batch at every decision, in their order."""
 
     @property
@@ -39,8 +39,8 @@ class Rival(ABC):
         return None
 
     @abstractmethod
-    def driver(self, game: Game, chance: Tensor) -> Driver:
+    def driver(self, game: Game, episode_key: Tensor) -> Driver:
         """The driver for a batch of episodes that start together.
 
-        chance: [E] int64, a number of each episode from which what is random may be drawn
+        episode_key: [E] int64, one per episode, from which what is random may be drawn
         """

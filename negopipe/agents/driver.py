@@ -14,22 +14,22 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.state import Motion, map_tensors
 
 ChooseHorizon = Callable[[Perception], Tensor]
-"""Perception of one seat (S = 1) -> prediction horizon [E, 1] float32, s."""
+"""Perception of one agent (S = 1) -> prediction horizon [E, 1] float32, s."""
 
 Plan = Callable[[Perception, Tensor], Motion]
-"""Perception of S seats, prediction horizons [E, S] (s) -> Motion [E, S]: `FrenetPlanner.plan`."""
+"""Perception of S agents, prediction horizons [E, S] (s) -> Motion [E, S]: `FrenetPlanner.plan`."""
 
 
 class Driver(Protocol):
-    """Drives one seat in every world."""
+    """Drives one agent in every world."""
 
     def drive(self, perception: Perception) -> Motion:
-        """Motion of the seat (S = 1) for the next control step, from what its vehicle perceives."""
+        """Motion of the agent (S = 1) for the next control step, from what its vehicle perceives."""
         ...
 
 
 MakeDriver = Callable[[Tensor], Driver]
-"""Numbers of E episodes [E] int64, from which what is random may be drawn -> the driver of one seat in them. They start
+"""Keys of E episodes [E] int64, from which what is random may be drawn -> the driver of one agent in them. They start
 together."""
 
 
@@ -59,23 +59,23 @@ def fixed_horizon(horizon_s: float) -> ChooseHorizon:
 
 
 def drive_together(drivers: Sequence[Driver], perception: Perception) -> Motion:
-    """One driver per seat. Seats that share a planner are planned in one batched call.
+    """One driver per agent. Agents that share a planner are planned in one batched call.
 
     The result is the same as letting each driver drive alone; batching only saves time.
     """
     motions: dict[int, Motion] = {}
     by_plan: dict[Plan, dict[int, HorizonDriver]] = {}
-    for seat, driver in enumerate(drivers):
+    for agent, driver in enumerate(drivers):
         if isinstance(driver, HorizonDriver):
-            by_plan.setdefault(driver.plan, {})[seat] = driver
+            by_plan.setdefault(driver.plan, {})[agent] = driver
         else:
-            motions[seat] = driver.drive(perception.of(seat))
-    for plan, seats in by_plan.items():
-        horizon = torch.cat([driver.choose_horizon(perception.of(seat)) for seat, driver in seats.items()], 1)
-        together = plan(perception.of_seats(list(seats)), horizon)
-        motions |= {seat: _column(together, i) for i, seat in enumerate(seats)}
+            motions[agent] = driver.drive(perception.of(agent))
+    for plan, agents in by_plan.items():
+        horizon = torch.cat([driver.choose_horizon(perception.of(agent)) for agent, driver in agents.items()], 1)
+        together = plan(perception.of_agents(list(agents)), horizon)
+        motions |= {agent: _column(together, i) for i, agent in enumerate(agents)}
     return map_tensors(lambda *columns: torch.cat(columns, dim=1), *(motions[i] for i in range(len(drivers))))
 
 
-def _column(motion: Motion, seat: int) -> Motion:
-    return map_tensors(lambda field: field[:, seat : seat + 1], motion)
+def _column(motion: Motion, agent: int) -> Motion:
+    return map_tensors(lambda field: field[:, agent : agent + 1], motion)

@@ -9,7 +9,7 @@ from negopipe.simulation.road import Road, RouteState
 
 
 class Encounter(NamedTuple):
-    """Of one seat with the O others; places are those of the centres, each on its own route, where s = 0 is the mouth
+    """Of one agent with the O others; places are those of the centres, each on its own route, where s = 0 is the mouth
     of the corridor that it meets first.
 
     own: RouteState [E, 1]
@@ -26,7 +26,7 @@ class Encounter(NamedTuple):
 
 
 def encounter(road: Road, length_m: float, perception: Perception) -> Encounter:
-    """What a seat (S = 1) perceives, along the road; length_m: of a vehicle."""
+    """What a agent (S = 1) perceives, along the road; length_m: of a vehicle."""
     own = road.to_route(perception.own, perception.direction)
     other_direction = road.direction_of(perception.other)
     other = road.to_route(perception.other, other_direction)

@@ -9,7 +9,7 @@ from negopipe.agents.driver import ChooseHorizon, HorizonDriver, MakeDriver
 from negopipe.game.environment import Game
 from negopipe.policy.actor_critic import ActorCritic, greedy_action
 from negopipe.simulation.perception import Perception
-from negopipe.tensors.chunked import InChunks
+from negopipe.tensors.chunked import ChunkedFunction
 from negopipe.tensors.stateless_rng import mix, uniform
 
 ACTIONS = 0x5A17
@@ -20,33 +20,33 @@ BATCH = 64
 
 def by_horizon(game: Game, choose_horizon: ChooseHorizon) -> MakeDriver:
     """The game's planner with the horizons of `choose_horizon`, the same driver for all episodes."""
-    return lambda chance: HorizonDriver(choose_horizon, game.plan)
+    return lambda episode_key: HorizonDriver(choose_horizon, game.plan)
 
 
 def adaptive_planner(
-    policy: ActorCritic, game: Game, horizons_s: tuple[float, ...], chance: Tensor | None = None
+    policy: ActorCritic, game: Game, horizons_s: tuple[float, ...], episode_key: Tensor | None = None
 ) -> ChooseHorizon:
     """The policy: looks at the grids and picks the most probable horizon.
 
-    chance: [E] int64, a number of each episode, from which it is drawn instead; it counts the decisions, so make one
-        for each batch of episodes that start together, and drive them in step
+    episode_key: [E] int64, from which the horizon is drawn instead; the planner counts the decisions, so make one for
+        each batch of episodes that start together, and drive them in lockstep
     """
     horizons = torch.tensor(horizons_s, device=game.planner.times.device)
-    look = InChunks(lambda grids: policy(grids)[0], BATCH, lambda fn: fn)
+    look = ChunkedFunction(lambda grids: policy(grids)[0], BATCH, lambda fn: fn)
     decisions = count()
 
     @torch.no_grad()
     def choose(perception: Perception) -> Tensor:
         logits = look(game.draw(perception))
-        action = greedy_action(logits) if chance is None else _drawn(logits, chance, next(decisions))
+        action = greedy_action(logits) if episode_key is None else _drawn(logits, episode_key, next(decisions))
         return horizons[action][:, None]
 
     return choose
 
 
-def _drawn(logits: Tensor, chance: Tensor, decision: int) -> Tensor:
+def _drawn(logits: Tensor, episode_key: Tensor, decision: int) -> Tensor:
     """[E] int64, by inversion of the cumulative probabilities."""
-    threshold = uniform(mix(mix(chance) + ACTIONS), decision)
+    threshold = uniform(mix(mix(episode_key) + ACTIONS), decision)
     until = logits.float().softmax(-1).cumsum(-1)
     return (threshold[:, None] > until).sum(-1).clamp(max=logits.shape[-1] - 1)
 

@@ -37,7 +37,7 @@ LONGEST_HINT = 200
 _AMBIGUOUS = re.compile(r"Ambiguous value for argument '(.*?)'\n1\. ", flags=re.DOTALL)
 
 
-def shown(value: Any, longest: int = LONGEST_VALUE) -> str:
+def abbreviate(value: Any, longest: int = LONGEST_VALUE) -> str:
     """A value as a line shows it: control characters escaped, cut where it is long."""
     text = value if isinstance(value, str) and value else json.dumps(value)
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
@@ -70,7 +70,7 @@ def misread(values: Any, key: str = "") -> str | None:
     elif isinstance(values, list):
         found = (misread(value, f"{key}.{index}") for index, value in enumerate(values))
     else:
-        return f"{key} {_UNREADABLE}, got {shown(values)}" if _is_not_unicode(values) else None
+        return f"{key} {_UNREADABLE}, got {abbreviate(values)}" if _is_not_unicode(values) else None
     return next(filter(None, found), None)
 
 
@@ -96,7 +96,7 @@ def unknown_key(key: str, allowed: Iterable[str]) -> str:
 
 def explain_composition(error: Exception) -> str:
     """What Hydra or OmegaConf found wrong while composing the config or resolving its interpolations."""
-    return shown(_explanation(error), LONGEST_LINE)
+    return abbreviate(_explanation(error), LONGEST_LINE)
 
 
 def _explanation(error: Exception) -> str:
@@ -120,9 +120,9 @@ def _explanation(error: Exception) -> str:
 def _unreadable(error: OverrideParseException) -> str:
     override = str(error.override)
     if _is_not_unicode(override):
-        return f"{shown(override.partition('=')[0])} {_UNREADABLE}, got {shown(override.partition('=')[2])}"
+        return f"{abbreviate(override.partition('=')[0])} {_UNREADABLE}, got {abbreviate(override.partition('=')[2])}"
     quoted = as_text(override)
-    return f"{shown(override)} cannot be read: {str(error).splitlines()[0]}{f', try {quoted}' if quoted else ''}"
+    return f"{abbreviate(override)} cannot be read: {str(error).splitlines()[0]}{f', try {quoted}' if quoted else ''}"
 
 
 def _ambiguous(override: str) -> str:
@@ -130,7 +130,7 @@ def _ambiguous(override: str) -> str:
     key, _, values = override.partition("=")
     ways = {"-m": "to sweep over them", shlex.quote(f"{key}=[{values}]"): "for a list", as_text(override): "for a text"}
     hints = ", ".join(f"{way} {purpose}" for way, purpose in ways.items() if way)
-    return f"Ambiguous value for argument '{shown(override)}', use {hints}"
+    return f"Ambiguous value for argument '{abbreviate(override)}', use {hints}"
 
 
 def explain_validation(error: ValidationError, root: type, typed: Sequence[str] = ()) -> str:
@@ -139,7 +139,7 @@ def explain_validation(error: ValidationError, root: type, typed: Sequence[str] 
     typed: the overrides as they were given, which tell how a text was written that was read as something else
     """
     problems = (_problem(problem, root, typed) for problem in error.errors())
-    return shown("; ".join(dict.fromkeys(problems)), LONGEST_LINE)
+    return abbreviate("; ".join(dict.fromkeys(problems)), LONGEST_LINE)
 
 
 def _problem(problem: Mapping[str, Any], root: type, typed: Sequence[str]) -> str:
@@ -152,7 +152,7 @@ def _problem(problem: Mapping[str, Any], root: type, typed: Sequence[str]) -> st
     if kind in ("missing", "missing_argument"):
         return f"{key} is missing"
     is_whole_mapping = isinstance(problem["input"], Mapping) and not kind.endswith("_type")
-    value = "" if is_whole_mapping else f", got {shown(problem['input'])}"  # the rule names the values
+    value = "" if is_whole_mapping else f", got {abbreviate(problem['input'])}"  # the rule names the values
     hint = _how_to_quote(key, typed) if kind == "string_type" else ""
     return f"{key} {_rule(problem)}{value}{hint}"
 
@@ -170,7 +170,7 @@ def _wrong_variant(key: str, context: Mapping[str, str]) -> str:
     field = f"{key}.{names['discriminator']}"
     if "tag" not in names:
         return f"{field} is missing"
-    return f"{field} must be one of {names['expected_tags']}, got {shown(names['tag'])}"
+    return f"{field} must be one of {names['expected_tags']}, got {abbreviate(names['tag'])}"
 
 
 def _rule(problem: Mapping[str, Any]) -> str:

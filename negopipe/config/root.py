@@ -11,7 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field, TypeAdapter, ValidationError
 
 from negopipe.benchmark.speed import BenchmarkConfig
-from negopipe.config.messages import explain_composition, explain_validation, misread, shown
+from negopipe.config.messages import abbreviate, explain_composition, explain_validation, misread
 from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
@@ -166,7 +166,9 @@ def _check_horizons(config: RunConfig) -> None:
 def _horizons(config: RunConfig) -> dict[str, tuple[float, ...]]:
     """Prediction horizons of all that drives, s, by key."""
     horizons = {"policy.horizons_s": config.policy.horizons_s}
-    horizons |= {f"evaluation.rivals.{name}": rival.horizons_s for name, rival in config.evaluation.rivals.items()}
+    horizons |= {
+        f"evaluation.baselines.{name}": baseline.horizons_s for name, baseline in config.evaluation.baselines.items()
+    }
     places = {"scenario": config.scenario.families}
     places |= {f"curriculum.stages.{i}": stage.families for i, stage in enumerate(config.curriculum.stages)}
     for place, families in places.items():
@@ -202,8 +204,8 @@ def _check_times(config: RunConfig) -> None:
         if time > (N_STEPS + 0.5) * dt:
             raise UserError(f"{key} must be at most {N_STEPS} times scenario.dt_s = {dt}, got {time}")
     times = {key: (time,) for key, time in {"planner.horizon_s": planned, **remembered}.items()}
-    for name, rival in config.evaluation.rivals.items():
-        times |= {f"evaluation.rivals.{name}.{key}": (time,) for key, time in rival.times_s.items()}
+    for name, baseline in config.evaluation.baselines.items():
+        times |= {f"evaluation.baselines.{name}.{key}": (time,) for key, time in baseline.times_s.items()}
     for key, values in (times | _horizons(config)).items():
         for time in values:
             n_steps = round(time / dt)
@@ -319,9 +321,9 @@ def _stage_needs(config: RunConfig) -> Iterator[_Need]:
         yield _Need("the benchmark", measured * 4, "benchmark.n_worlds observation.n_frames observation.n_cells")
     record = scenario.episode_steps * (1 + scenario.n_social) * RECORD_BYTES
     one = "scenario.episode_steps scenario.n_social"
-    n_planners = 1 + len(config.evaluation.rivals)
+    n_planners = 1 + len(config.evaluation.baselines)
     driven = config.evaluation.n_episodes * n_planners * len(config.evaluation.settings) * record
-    tasks = "evaluation.n_episodes evaluation.settings evaluation.rivals"
+    tasks = "evaluation.n_episodes evaluation.settings evaluation.baselines"
     yield _Need("the evaluation", driven, f"{tasks} {one}")
     if "behaviour_map" in config.stages:
         yield _Need("the map", config.behaviour_map.n_episodes * record, f"behaviour_map.n_episodes {one}")
@@ -345,8 +347,8 @@ def _check_evaluation(config: RunConfig) -> None:
     """What is evaluated, opened with and shown exists."""
     settings = config.evaluation.settings
     for name, who in {ADAPTIVE: "the policy", ORACLE: "what evaluation.oracle brings"}.items():
-        if name in config.evaluation.rivals:
-            raise UserError(f"evaluation.rivals must not name one {name}, which is {who}")
+        if name in config.evaluation.baselines:
+            raise UserError(f"evaluation.baselines must not name one {name}, which is {who}")
     _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
     if config.runs is not None and config.stages != ("report",):
@@ -354,7 +356,7 @@ def _check_evaluation(config: RunConfig) -> None:
     if "replay" in config.stages and config.episode is None:
         raise UserError("episode must be <setting>/<planner>/<number> for the stage replay, got null")
     if "report" in config.stages:
-        _require("report.side_by_side", config.report.side_by_side, config.evaluation.rivals, "evaluation.rivals")
+        _require("report.side_by_side", config.report.side_by_side, config.evaluation.baselines, "evaluation.baselines")
 
 
 def _check_oracle(config: RunConfig) -> None:
@@ -395,5 +397,5 @@ def _require(key: str, values: Iterable[str], among: Iterable[str], source: str)
     allowed = list(among)
     for value in values:
         if value not in allowed:
-            names = shown(", ".join(allowed)) or "none"
-            raise UserError(f"{key} must be among {names}, got {shown(value)}; {source} has no other")
+            names = abbreviate(", ".join(allowed)) or "none"
+            raise UserError(f"{key} must be among {names}, got {abbreviate(value)}; {source} has no other")

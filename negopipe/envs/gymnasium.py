@@ -24,7 +24,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from negopipe.config.compose import compose_config
-from negopipe.config.messages import shown
+from negopipe.config.messages import abbreviate
 from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
 from negopipe.game.environment import NegotiationEnv, build_game
@@ -52,12 +52,12 @@ def config_of(overrides: Sequence[str]) -> RunConfig:
     Other keys may be given where the config would not be valid without them.
     """
     if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides):
-        raise UserError(f"overrides must be a tuple of texts key=value, got {shown(repr(overrides))}")
+        raise UserError(f"overrides must be a tuple of texts key=value, got {abbreviate(repr(overrides))}")
     config = compose_config(overrides)
     for index, override in enumerate(overrides):
         if not _is_acting(override) and _is_valid([*overrides[:index], *overrides[index + 1 :]]):
             allowed = f"of {', '.join(KEYS)} or options of {', '.join(GROUPS)}"
-            raise UserError(f"overrides must be {allowed}, got {shown(override)}")
+            raise UserError(f"overrides must be {allowed}, got {abbreviate(override)}")
     return config
 
 
@@ -249,7 +249,7 @@ def _check_options(options: dict[str, Any] | None, *allowed: str) -> None:
 
 
 def _in_one_line(value: Any) -> str:
-    return shown(" ".join(repr(value).split()))
+    return abbreviate(" ".join(repr(value).split()))
 
 
 gymnasium.register(

@@ -100,7 +100,7 @@ CLAIMED = {"ego_passes_first_rate": (-1, 1e-9), "smallest_gap_m": (1, 0.01)}
 
 
 @dataclass(frozen=True)
-class Finding:
+class Trend:
     """Claim 8 for one measure, in one setting against one style.
 
     turn: ((horizon, value), (next horizon, value)), the largest step the wrong way; None unless it fails
@@ -113,14 +113,14 @@ class Finding:
     turn: tuple[tuple[float, float], tuple[float, float]] | None
 
 
-def findings(table: pd.DataFrame) -> list[Finding]:
+def trends(table: pd.DataFrame) -> list[Trend]:
     """Claim 8 for every measure, setting and style, from rows of `cell`."""
     found = []
     for measure, (sign, tolerance) in CLAIMED.items():
         for (setting, style_s), rows in table.groupby(["setting", "social_style_s"], sort=False):
             known = rows.dropna(subset=measure).sort_values("ego_horizon_s")
             points = list(zip(known["ego_horizon_s"].tolist(), known[measure].tolist(), strict=True))
-            found.append(Finding(str(setting), float(str(style_s)), measure, *_judge(points, sign, tolerance)))
+            found.append(Trend(str(setting), float(str(style_s)), measure, *_judge(points, sign, tolerance)))
     return found
 
 
@@ -138,7 +138,7 @@ def _judge(
     return (HOLDS, None) if steps[worst] >= -tolerance else (FAILS, (points[worst], points[worst + 1]))
 
 
-def claims(found: Sequence[Finding]) -> dict[str, Any]:
+def claims(found: Sequence[Trend]) -> dict[str, Any]:
     """The verdicts for metrics.json: measure -> setting -> `social_<style>` -> verdict."""
     verdicts: dict[str, Any] = {}
     for finding in found:

@@ -7,7 +7,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.agents.baselines import RivalConfig
+from negopipe.agents.baselines import BaselineConfig
 from negopipe.agents.driver import Driver, HorizonDriver, MakeDriver, drive_together, own_style
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
@@ -31,15 +31,15 @@ class EvaluationConfig:
     n_traced: PositiveInt
     n_worlds: PositiveInt
     task_seed: Seed
-    rivals: dict[FileName, RivalConfig]
+    baselines: dict[FileName, BaselineConfig]
     oracle: PathText | None
-    action: Literal["most_probable", "sample"]
+    action: Literal["greedy", "sample"]
     reward: RewardConfig
 
     @property
     def fixed_horizons_s(self) -> FixedHorizons:
-        """Those of the rivals that keep to one."""
-        fixed = {name: rival.fixed_horizon_s for name, rival in self.rivals.items()}
+        """Those of the baselines that keep to one."""
+        fixed = {name: baseline.fixed_horizon_s for name, baseline in self.baselines.items()}
         return {name: horizon_s for name, horizon_s in fixed.items() if horizon_s is not None}
 
 
@@ -50,7 +50,7 @@ def drive_episodes(
     n_worlds: int,
     reward_config: RewardConfig,
     names: tuple[str, str],
-    is_in_step: bool = False,
+    is_lockstep: bool = False,
 ) -> Trace:
     """Let the ego's driver drive all `tasks`, `n_worlds` at a time.
 
@@ -58,31 +58,31 @@ def drive_episodes(
 
     reward_config: what the report counts, whatever the policy was trained with
     names: (planner, family) for the record
-    is_in_step: the driver is asked for all worlds of a batch at every decision, also for those whose episode is over;
+    is_lockstep: the driver is asked for all worlds of a batch at every decision, also for those whose episode is over;
         else for the running ones only, which saves their time
     """
     batches = [
         map_tensors(lambda field, i=first: field[i : i + n_worlds], tasks) for first in range(0, len(tasks), n_worlds)
     ]
-    parts = [_record(game, _drivers(game, make_ego, batch), batch, reward_config, is_in_step) for batch in batches]
+    parts = [_record(game, _drivers(game, make_ego, batch), batch, reward_config, is_lockstep) for batch in batches]
     joined = {name: np.concatenate([part[name] for part in parts], axis=EPISODE_AXIS[name]) for name in parts[0]}
     return Trace(planner=names[0], family=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
 
 
-def decide_once(game: Game, make_ego: MakeDriver, tasks: Task) -> None:
+def warm_up(game: Game, make_ego: MakeDriver, tasks: Task) -> None:
     """Let everybody make a first decision in `tasks`: all that driving takes is compiled then."""
     world = game.simulator.reset(tasks)
     game.step(world, drive_together(_drivers(game, make_ego, tasks), game.perceive(world)).state)
 
 
 def _drivers(game: Game, make_ego: MakeDriver, tasks: Task) -> list[Driver]:
-    """Of all seats, in their order."""
+    """Of all agents, in their order."""
     social = HorizonDriver(own_style, game.plan)
     return [make_ego(tasks.noise_seed), *[social] * game.simulator.scenario.n_social]
 
 
 def _record(
-    game: Game, drivers: list[Driver], tasks: Task, reward_config: RewardConfig, is_in_step: bool
+    game: Game, drivers: list[Driver], tasks: Task, reward_config: RewardConfig, is_lockstep: bool
 ) -> dict[str, np.ndarray]:
     """Fields of `Trace`."""
     world = game.simulator.reset(tasks)
@@ -91,7 +91,7 @@ def _record(
     states, decisions = [_state_row(game, world)], []
     is_success = is_collision = ~is_running
     for _ in range(game.simulator.scenario.episode_steps):
-        which = everyone if is_in_step else is_running.nonzero()[:, 0]
+        which = everyone if is_lockstep else is_running.nonzero()[:, 0]
         world, events, decision = _decide(game, drivers, world, which, is_running[which], reward_config)
         states.append(_state_row(game, world))
         decisions.append({name: _scatter(field, which, len(tasks)) for name, field in decision.items()})

@@ -19,7 +19,7 @@ from negopipe.simulation.state import Task
 
 
 @dataclass(frozen=True)
-class Insight:
+class PolicyTrace:
     """What the policy saw and thought in one episode of T decisions.
 
     grids: [T, F, H, W] uint8, as `OccupancyGrid.draw` makes them
@@ -53,10 +53,10 @@ def replay(
     """
     choose = sequence_planner(_together(horizon_s, game.simulator.scenario.episode_steps).to(tasks.family.device))
     ego = by_horizon(game, choose if watch is None else _watched(choose, watch))
-    return drive_episodes(game, ego, tasks, len(tasks), reward_config, names, is_in_step=True)
+    return drive_episodes(game, ego, tasks, len(tasks), reward_config, names, is_lockstep=True)
 
 
-def look_into(
+def record_policy(
     game: Game,
     policy: ActorCritic,
     horizons_s: tuple[float, ...],
@@ -64,7 +64,7 @@ def look_into(
     tasks: Task,
     horizon_s: Sequence[np.ndarray],
     reward_config: RewardConfig,
-) -> list[Insight]:
+) -> list[PolicyTrace]:
     """What the policy saw and thought in E episodes, of which it is known what it chose (`replay`)."""
     grids: list[np.ndarray] = []
     probability: list[np.ndarray] = []
@@ -77,7 +77,7 @@ def look_into(
 
     replay(game, tasks, horizon_s, reward_config, ("watched", "replay"), watch)
     return [
-        Insight(
+        PolicyTrace(
             np.stack([drawn[episode] for drawn in grids[: len(own)]]),
             np.stack([each[episode] for each in probability[: len(own)]]),
             horizons_s,

@@ -52,14 +52,14 @@ def footprints(trace: Trace, vehicle: VehicleConfig) -> Boxes:
 
 def smallest_gap(boxes: Boxes) -> np.ndarray:
     """[E] float64, m: smallest distance between the ego's footprint and a social one's; 0 where they collide."""
-    return box_distance(seats(boxes, EGO, EGO + 1), seats(boxes, EGO + 1, None)).amin((0, 2)).numpy()
+    return box_distance(agents(boxes, EGO, EGO + 1), agents(boxes, EGO + 1, None)).amin((0, 2)).numpy()
 
 
 def smallest_ttc(trace: Trace, boxes: Boxes, is_driven: np.ndarray) -> np.ndarray:
     """[E] float64, s, over the states that `is_driven` [T+1, E] has; NaN where a collision never was ahead."""
     speed = torch.from_numpy(trace.speed_mps).double()
     velocity = torch.stack([speed * boxes.cos, speed * boxes.sin], -1)
-    ego, social = seats(boxes, EGO, EGO + 1), seats(boxes, EGO + 1, None)
+    ego, social = agents(boxes, EGO, EGO + 1), agents(boxes, EGO + 1, None)
     ttc = time_to_collision(ego, social, velocity[:, :, EGO + 1 :] - velocity[:, :, EGO : EGO + 1])
     ttc = torch.where(torch.from_numpy(is_driven)[..., None], ttc, torch.inf)
     smallest = ttc.amin((0, 2)).numpy()
@@ -92,7 +92,7 @@ def _blame(trace: Trace, episode: int, vehicle: VehicleConfig, braking_mps2: flo
     if not any(is_hit):
         return "alone"
     other = 1 + is_hit.index(True)
-    own, its = ((pose[:, seat], speed[:, seat]) for seat in (EGO, other))
+    own, its = ((pose[:, agent], speed[:, agent]) for agent in (EGO, other))
     by_ego, by_social = (
         driven[0][1][0] > AT_REST_MPS and not _hits_braking(*driven, trace.dt_s, braking_mps2, vehicle)
         for driven in ((own, its), (its, own))
@@ -136,7 +136,7 @@ def _footprints(pose: Tensor, vehicle: VehicleConfig) -> Boxes:
     return boxes_from_pose(x, y, yaw, vehicle.length_m, vehicle.width_m)
 
 
-def seats(boxes: Boxes, first: int, end: int | None) -> Boxes:
+def agents(boxes: Boxes, first: int, end: int | None) -> Boxes:
     """Those of some vehicles, [..., V]."""
     return boxes._replace(**{name: getattr(boxes, name)[..., first:end] for name in ("x", "y", "cos", "sin")})
 

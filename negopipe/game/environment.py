@@ -28,8 +28,8 @@ from negopipe.simulation.state import (
     tree_where,
     with_tensors,
 )
-from negopipe.tensors.chunked import InChunks
-from negopipe.tensors.prefixes import put_under, take_from
+from negopipe.tensors.chunked import ChunkedFunction
+from negopipe.tensors.prefixes import add_prefix, strip_prefix
 
 CHUNKS = {"cpu": 64, "cuda": 1024}
 """Worlds that are computed at once: large enough for the cost of a call; on a CPU small enough for the cache."""
@@ -65,7 +65,7 @@ class Game:
     plan: Perception, horizon [E, S] (s) -> Motion [E, S]
     perceive: World -> Perception of all vehicles
     step: World, VehicleState [E, V] -> World, Events
-    draw: Perception of one seat -> [E, F, H, W] uint8 grids
+    draw: Perception of one agent -> [E, F, H, W] uint8 grids
     drive: World, horizon [E, V] (s) -> World, Events: perceive, plan and step as one, for all vehicles
     advance: like `drive`, and what the ego sees then
     see: World -> [E, F, H, W] uint8 grids of the ego: perceive and draw as one
@@ -104,7 +104,7 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         return grid.draw(sensor.perceive(world).of(EGO))
 
     def accelerate(fn: Callable) -> Callable:
-        return InChunks(fn, size, _compile if is_compiled else None)
+        return ChunkedFunction(fn, size, _compile if is_compiled else None)
 
     return Game(
         simulator=simulator,
@@ -121,8 +121,8 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
 
 
 def _compile(fn: Callable) -> Callable:
-    """Without guards, which cost as much as a tenth of the work: `InChunks` keeps shapes and dtypes, and nothing that a
-    game is made of ever changes. Compiled code belongs to a code object; so that nobody else's is taken without
+    """Without guards, which cost as much as a tenth of the work: `ChunkedFunction` keeps shapes and dtypes, and nothing
+    that a game is made of ever changes. Compiled code belongs to a code object; so that nobody else's is taken without
     guards to tell, every function gets one of its own. In one thread: a chunk is too small to gain from more.
     """
     fn.__code__ = fn.__code__.replace()
@@ -193,11 +193,11 @@ class NegotiationEnv:
     def state_dict(self) -> dict[str, Tensor]:
         """All that the next step depends on: the worlds, what is seen of them and the stream of tasks."""
         seen, tasks = self._observation, self.sampler.generator.get_state()
-        return {**put_under("world", named_tensors(self.world)), "observation": seen, "tasks": tasks}
+        return {**add_prefix("world", named_tensors(self.world)), "observation": seen, "tasks": tasks}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Go on where `state_dict` was taken; the sampler's families are not part of it."""
-        self.world = with_tensors(self.world, take_from("world", state))
+        self.world = with_tensors(self.world, strip_prefix("world", state))
         self._observation = state["observation"].to(self._observation.device)
         self.sampler.generator.set_state(state["tasks"])
 

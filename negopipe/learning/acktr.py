@@ -30,7 +30,7 @@ from negopipe.learning.kfac import Kfac, KfacConfig, add_to_layer, fisher_loss
 from negopipe.learning.update import Decisions, Outputs, UpdateConfig, differentiate, measure_kl, policy_gradient_loss
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.schema import Fraction, PositiveFloat, schema
-from negopipe.tensors.prefixes import put_under, take_from
+from negopipe.tensors.prefixes import add_prefix, strip_prefix
 
 
 @schema
@@ -83,13 +83,13 @@ class Acktr:
         }
 
     def state_dict(self) -> dict[str, Tensor]:
-        state = put_under("kfac", self.kfac.state_dict()) | put_under("momentum", self.momentum)
+        state = add_prefix("kfac", self.kfac.state_dict()) | add_prefix("momentum", self.momentum)
         return state | {"n_unusable": torch.tensor(self._n_unusable)}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         device = self.policy.value_mean.device
-        self.kfac.load_state_dict(take_from("kfac", state))
-        self.momentum = {name: m.to(device) for name, m in take_from("momentum", state).items()}
+        self.kfac.load_state_dict(strip_prefix("kfac", state))
+        self.momentum = {name: m.to(device) for name, m in strip_prefix("momentum", state).items()}
         self._n_unusable = int(state["n_unusable"])
 
     def _descend(self, gradient: dict[str, Tensor], shrink: float, probe: Tensor, before: Outputs) -> dict[str, Tensor]:
@@ -109,8 +109,8 @@ class Acktr:
         value_step = self._move(v, value_head, value_bound, shrink)
         policy_step = self._move(v, others, bound, shrink)
         moved = measure_kl(self.policy, probe, before)
-        value_share = shortening(moved["value_kl"], value_bound)
-        policy_share = torch.minimum(shortening(moved["kl"], bound), value_share)
+        value_share = kl_backtracking(moved["value_kl"], value_bound)
+        policy_share = torch.minimum(kl_backtracking(moved["kl"], bound), value_share)
         if policy_share < 1:
             self._add(v, value_head, value_step * (1 - value_share))
             self._add(v, others, policy_step * (1 - policy_share))
@@ -143,7 +143,7 @@ def trust_region_step(quadratic: Tensor, kl_clip: float, learning_rate: float) -
     return (2 * kl_clip / quadratic.clamp(min=torch.finfo(torch.float32).tiny)).sqrt().clamp(max=learning_rate)
 
 
-def shortening(kl: Tensor, kl_clip: float) -> Tensor:
+def kl_backtracking(kl: Tensor, kl_clip: float) -> Tensor:
     """The share of a step of measured `kl` that keeps to `kl_clip`, for a KL quadratic in the step; 0 if NaN."""
     return torch.where(kl.isfinite(), (kl_clip / kl.clamp(min=kl_clip)).sqrt(), 0.0)
 

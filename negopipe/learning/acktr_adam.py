@@ -13,7 +13,7 @@ from negopipe.learning.kfac import Kfac, KfacConfig, fisher_loss
 from negopipe.learning.update import Decisions, UpdateConfig, differentiate, measure_kl, policy_gradient_loss
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.schema import schema
-from negopipe.tensors.prefixes import put_under, take_from
+from negopipe.tensors.prefixes import add_prefix, strip_prefix
 
 
 @schema
@@ -57,8 +57,8 @@ class AcktrAdam:
         return {**parts, **measure_kl(self.policy, batch.observation[:n], outputs.first(n))}
 
     def state_dict(self) -> dict[str, Tensor]:
-        return put_under("kfac", self.kfac.state_dict()) | put_under("adam", self.adam.state_dict())
+        return add_prefix("kfac", self.kfac.state_dict()) | add_prefix("adam", self.adam.state_dict())
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        self.kfac.load_state_dict(take_from("kfac", state))
-        self.adam.load_state_dict(take_from("adam", state))
+        self.kfac.load_state_dict(strip_prefix("kfac", state))
+        self.adam.load_state_dict(strip_prefix("adam", state))

@@ -18,7 +18,7 @@ from negopipe.simulation.starts import check_starts
 class CurriculumStageConfig:
     """One stage.
 
-    name: shown in the progress line and the learning curves
+    name: demonstrations in the progress line and the learning curves
     n_iterations: K_i, iterations of collecting and updating
     families: D_i, the start-distance distribution per style and the weight of each style's tasks
     """

@@ -19,7 +19,7 @@ from negopipe.learning.ppo import PpoConfig, ppo
 from negopipe.learning.rollout import Rollout
 from negopipe.learning.update import Algorithm, Decisions, minibatches
 from negopipe.policy.actor_critic import ActorCritic
-from negopipe.tensors.prefixes import put_under, take_from
+from negopipe.tensors.prefixes import add_prefix, strip_prefix
 
 AnyAlgorithmConfig = AcktrConfig | AcktrAdamConfig | A2cConfig | PpoConfig
 AlgorithmConfig = Annotated[AnyAlgorithmConfig, Field(discriminator="kind")]
@@ -88,7 +88,7 @@ class Learner:
 
     def state_dict(self) -> dict[str, Tensor]:
         """Everything but the policy's own weights that the next update depends on."""
-        state = put_under("algorithm", self.algorithm.state_dict())
+        state = add_prefix("algorithm", self.algorithm.state_dict())
         state["n_rollouts"] = torch.tensor(self.n_rollouts)
         state["return_moments"] = self.return_moments
         state["generator"] = self.generator.get_state()
@@ -96,7 +96,7 @@ class Learner:
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Go on where `state_dict` was taken; the policy's weights are loaded apart."""
-        self.algorithm.load_state_dict(take_from("algorithm", state))
+        self.algorithm.load_state_dict(strip_prefix("algorithm", state))
         self.n_rollouts = int(state["n_rollouts"])
         self.return_moments = state["return_moments"].to(self.policy.value_mean.device)
         self.generator.set_state(state["generator"])

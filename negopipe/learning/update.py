@@ -20,7 +20,7 @@ from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, PositiveI
 
 
 @schema
-class SettlingConfig:
+class EntropyPenaltyConfig:
     """The end of a training in which a decided policy pays: what is drawn in training comes to be its most probable
     actions, which are what is evaluated.
 
@@ -44,7 +44,7 @@ class UpdateConfig:
     return_decay: weight of the old return statistics when a rollout comes in; smaller at the start
     final_step_share: the steps shrink linearly with the progress of training, to this share at its end
     final_entropy_share: so does c_H, to this share
-    settling: null = c_H keeps its sign to the end
+    entropy_penalty: null = c_H keeps its sign to the end
     n_probe: decisions of the minibatch on which the KL of an update is measured
     """
 
@@ -59,7 +59,7 @@ class UpdateConfig:
     return_decay: Fraction
     final_step_share: Fraction
     final_entropy_share: Fraction
-    settling: SettlingConfig | None
+    entropy_penalty: EntropyPenaltyConfig | None
     n_probe: PositiveInt
 
     @model_validator(mode="after")
@@ -74,8 +74,8 @@ class UpdateConfig:
 
     def entropy_weight(self, progress: float) -> float:
         """c_H at that time."""
-        if self.settling is not None and progress >= self.settling.start:
-            return -self.settling.coefficient
+        if self.entropy_penalty is not None and progress >= self.entropy_penalty.start:
+            return -self.entropy_penalty.coefficient
         return self.entropy_coefficient * (1 - (1 - self.final_entropy_share) * progress)
 
 

@@ -18,9 +18,9 @@ from negopipe.simulation.geometry import Boxes
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import VehicleConfig
-from negopipe.tensors.materialize import stored
+from negopipe.tensors.materialize import materialize
 
-FAR_M = 1000.0
+OUT_OF_SIGHT_M = 1000.0
 """Where no grid reaches."""
 
 WORD_BITS = 28
@@ -54,7 +54,7 @@ def history_steps(config: ObservationConfig, dt_s: float) -> int:
 
 
 class OccupancyGrid:
-    """Draws grids for one seat of E worlds.
+    """Draws grids for one agent in each of E worlds.
 
     Row 0 is farthest ahead, column 0 farthest to the left; a cell is occupied if its centre is. Axes here: F
     frames, R rectangles, H rows, W columns.
@@ -81,7 +81,7 @@ class OccupancyGrid:
     def draw(self, perception: Perception) -> Tensor:
         """[E, F, H, W] uint8, 1 = occupied; channel 0 is now, channel f is f frame intervals ago.
 
-        `perception` is that of one seat (S = 1).
+        `perception` is that of one agent (S = 1).
         """
         own = perception.own_history[:, :: self._stride, 0]  # [E, F, 3]
         others = perception.other_history[:, :: self._stride, 0]  # [E, F, O, 3]
@@ -89,7 +89,7 @@ class OccupancyGrid:
         moving = torch.cat([own[:, :, None], others], dim=2)
         x, y, yaw = moving.unbind(-1)
         is_seen = perception.is_seen_history[:, :: self._stride, 0]
-        x = torch.where(torch.cat([torch.ones_like(is_seen[..., :1]), is_seen], dim=-1), x, FAR_M)
+        x = torch.where(torch.cat([torch.ones_like(is_seen[..., :1]), is_seen], dim=-1), x, OUT_OF_SIGHT_M)
         half_length, half_width = self.vehicle.length_m / 2, self.vehicle.width_m / 2
         vehicles = Boxes(x, y, torch.cos(yaw), torch.sin(yaw), half_length, half_width)
         static = self._rows(_in_body_frame(self._static, pose[:, None]))
@@ -119,7 +119,7 @@ class OccupancyGrid:
         config = self.config
         half_width = config.n_cells * config.cell_across_m / 2
         long, wide = _slab(boxes.cos, boxes.sin, boxes.half_length), _slab(-boxes.sin, boxes.cos, boxes.half_width)
-        values = (field[..., None] for field in stored(boxes.x, boxes.y, *long, *wide))
+        values = (field[..., None] for field in materialize(boxes.x, boxes.y, *long, *wide))
         x, y, long_shift, long_half, wide_shift, wide_half = values
         du = self._ahead - x
         long_mid, wide_mid = du * long_shift, du * wide_shift

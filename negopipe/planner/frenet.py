@@ -1,6 +1,6 @@
 """The planner: sample, check, cost, choose (Werling 2010; problem (1) of the paper).
 
-Axes here: N vehicles that plan (worlds and seats flattened), O others that each perceives, C longitudinal and
+Axes here: N vehicles that plan (worlds and agents flattened), O others that each perceives, C longitudinal and
 L lateral candidates, T times, P parked cars, S stations along a path, K stations around a predicted vehicle. N
 stands last in every tensor: whatever is computed per vehicle runs on vector units, and no axis has to be moved.
 """
@@ -22,7 +22,7 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import Motion, map_tensors
-from negopipe.tensors.materialize import stored
+from negopipe.tensors.materialize import materialize
 
 
 @schema
@@ -140,12 +140,12 @@ class FrenetPlanner:
         return len(self._around)
 
     def plan(self, perception: Perception, horizon: Tensor) -> Motion:
-        """Best feasible trajectory of every seat, given its prediction horizon [E, S] (s)."""
+        """Best feasible trajectory of every agent, given its prediction horizon [E, S] (s)."""
         shape = horizon.shape
         own = map_tensors(_flatten, perception.own)
         other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
         direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
-        *fields, direction, desired_speed = stored(*self.road.to_route(own, direction), direction, desired_speed)
+        *fields, direction, desired_speed = materialize(*self.road.to_route(own, direction), direction, desired_speed)
         route = RouteState(*fields)
         samples = self.longitudinal.sample(route, desired_speed)
         paths = self._paths(route, direction, desired_speed)

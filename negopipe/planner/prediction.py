@@ -9,7 +9,7 @@ from torch import Tensor
 from negopipe.schema import PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.state import VehicleState
-from negopipe.tensors.materialize import stored
+from negopipe.tensors.materialize import materialize
 
 
 @schema
@@ -19,7 +19,7 @@ class ConstantVelocityConfig:
     offset_decay_m: distance over which a predicted vehicle returns to its route, to 1/e of its offset
     """
 
-    model: Literal["constant_velocity"]
+    kind: Literal["constant_velocity"]
     offset_decay_m: PositiveMetres
 
     def travelled(self, now: RouteState, times: Tensor) -> Tensor:
@@ -36,7 +36,7 @@ class ConstantAccelerationConfig:
     speed_max_mps: nobody is predicted to speed up beyond this, unless it is faster already
     """
 
-    model: Literal["constant_acceleration"]
+    kind: Literal["constant_acceleration"]
     offset_decay_m: PositiveMetres
     hold_s: PositiveFloat
     speed_max_mps: PositiveFloat
@@ -51,7 +51,7 @@ class ConstantAccelerationConfig:
         return speed[..., None, :] * t + accel[..., None, :] * accelerating * (t - accelerating / 2)
 
 
-PredictionConfig = Annotated[ConstantVelocityConfig | ConstantAccelerationConfig, Field(discriminator="model")]
+PredictionConfig = Annotated[ConstantVelocityConfig | ConstantAccelerationConfig, Field(discriminator="kind")]
 
 
 class PredictedPath(NamedTuple):
@@ -77,7 +77,7 @@ def predict(
     viewer_direction: [N] float32, +1 or -1
     """
     direction = road.direction_of(other)
-    *state, direction = stored(*road.to_route(other, direction), direction)
+    *state, direction = materialize(*road.to_route(other, direction), direction)
     now = RouteState(*state)
     travelled = config.travelled(now, times)
     s = now.s[..., None, :] + travelled

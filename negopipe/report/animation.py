@@ -20,7 +20,7 @@ from matplotlib.patches import Polygon, Rectangle
 from PIL import Image
 
 from negopipe.evaluation.names import FixedHorizons
-from negopipe.evaluation.replay import Insight
+from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.report.figures import (
     CORRIDOR,
@@ -96,16 +96,17 @@ def animate(
     scene: Scene,
     fps: int,
     fixed_s: FixedHorizons,
-    insight: Insight | None = None,
+    policy_trace: PolicyTrace | None = None,
 ) -> bytes:
     """The episode under every planner of `traces`, one panel each, as a looping GIF in real time.
 
-    insight: of the first of them. fps is rounded so that a frame lasts whole hundredths of a second, the unit of GIF.
+    policy_trace: of the first of them
+    fps: rounded so that a frame lasts whole hundredths of a second, the unit of GIF
     """
     frame_s = round(100 / fps) / 100
     duration_s = max(trace.n_steps[episode] * trace.dt_s for trace in traces)
     n_frames = int(np.ceil(duration_s / frame_s)) + 1
-    film = _Film(traces, episode, scene, fixed_s, insight)
+    film = _Film(traces, episode, scene, fixed_s, policy_trace)
     frames = [film.draw(frame * frame_s) for frame in range(n_frames)]
     palette = _palette([frames[0], frames[n_frames // 2], frames[-1]], _horizons(traces, episode))
     flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
@@ -122,11 +123,11 @@ def still(
     scene: Scene,
     time_s: float,
     fixed_s: FixedHorizons,
-    insight: Insight | None = None,
+    policy_trace: PolicyTrace | None = None,
 ) -> bytes:
     """One frame of the same picture as PNG; after an episode's end its last state stays."""
     buffer = BytesIO()
-    _Film(traces, episode, scene, fixed_s, insight).draw(time_s).save(buffer, "PNG")
+    _Film(traces, episode, scene, fixed_s, policy_trace).draw(time_s).save(buffer, "PNG")
     return buffer.getvalue()
 
 
@@ -166,11 +167,11 @@ class _Film:
         episode: int,
         scene: Scene,
         fixed_s: FixedHorizons,
-        insight: Insight | None = None,
+        policy_trace: PolicyTrace | None = None,
     ) -> None:
         left_m, right_m, low_m, high_m = _view([trace.position_m[0, episode] for trace in traces], scene)
         road_px = round(WIDTH_PX * (high_m - low_m) / (right_m - left_m))
-        below_px = 0 if insight is None else INSIGHT_PX
+        below_px = 0 if policy_trace is None else INSIGHT_PX
         height_px = TOP_PX + len(traces) * (HEADER_PX + road_px + 4) + below_px
         self.figure = Figure((WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
         self.canvas = FigureCanvasAgg(self.figure)
@@ -183,8 +184,8 @@ class _Film:
             axis.axis("off")
             _draw_scene(axis, scene)
             self.panels.append(_Panel(axis, trace, episode, scene, fixed_s))
-        if insight is not None:
-            self.thoughts.append(_Thoughts(self.figure, insight, traces[0].dt_s))
+        if policy_trace is not None:
+            self.thoughts.append(_Thoughts(self.figure, policy_trace, traces[0].dt_s))
         self.clock = self.figure.text(0.012, 1 - 5 / height_px, "", va="top", fontsize=12, animated=True)
         self.canvas.draw()
         self.background = self.canvas.copy_from_bbox(self.figure.bbox)
@@ -272,10 +273,10 @@ class _Panel:
 class _Thoughts:
     """What the policy sees and how likely it finds each horizon: a row of grids, then bars."""
 
-    def __init__(self, figure: Figure, insight: Insight, dt_s: float) -> None:
-        self.insight, self.dt_s = insight, dt_s
+    def __init__(self, figure: Figure, policy_trace: PolicyTrace, dt_s: float) -> None:
+        self.policy_trace, self.dt_s = policy_trace, dt_s
         width_px, height_px = figure.get_size_inches() * DPI
-        n_frames = insight.grids.shape[1]
+        n_frames = policy_trace.grids.shape[1]
         size_px = min(GRID_PX, round((0.6 * WIDTH_PX) / n_frames) - 8)
         ink = ListedColormap([ROAD, INK])
         self.images = []
@@ -284,9 +285,11 @@ class _Thoughts:
             axis = figure.add_axes((left_px / width_px, 8 / height_px, size_px / width_px, size_px / height_px))
             axis.set(xticks=[], yticks=[])
             axis.spines[:].set_visible(True)
-            age_s = frame * insight.frame_interval_s
+            age_s = frame * policy_trace.frame_interval_s
             axis.set_title("grid: now" if frame == 0 else f"{age_s:g} s ago", fontsize=9, fontweight="normal", pad=3)
-            self.images.append(axis.imshow(_as_driven(insight.grids[0, frame]), ink, vmin=0, vmax=1, aspect="auto"))
+            self.images.append(
+                axis.imshow(_as_driven(policy_trace.grids[0, frame]), ink, vmin=0, vmax=1, aspect="auto")
+            )
         left_px = 8 + n_frames * (size_px + 8) + 50
         bars_px = (left_px, 8, width_px - left_px - 52, size_px)
         axis = figure.add_axes(
@@ -294,11 +297,11 @@ class _Thoughts:
         )
         axis.set_title("how likely each horizon", fontsize=9, fontweight="normal", pad=3)
         axis.set(xlim=(0, 1), xticks=[])
-        axis.set_yticks(range(len(insight.horizons_s)), [f"{horizon:g} s" for horizon in insight.horizons_s])
+        axis.set_yticks(range(len(policy_trace.horizons_s)), [f"{horizon:g} s" for horizon in policy_trace.horizons_s])
         axis.tick_params(axis="y", length=0)
         axis.spines["bottom"].set_visible(False)
         axis.invert_yaxis()
-        colors = [horizon_color(horizon) for horizon in insight.horizons_s]
+        colors = [horizon_color(horizon) for horizon in policy_trace.horizons_s]
         self.bars = list(axis.barh(range(len(colors)), [0.0] * len(colors), height=0.7, color=colors))
         at_end: Any = {"transform": axis.get_yaxis_transform(), "va": "center", "fontsize": 9, "clip_on": False}
         self.shares = [axis.text(1.03, row, "", **at_end) for row in range(len(colors))]
@@ -310,10 +313,10 @@ class _Thoughts:
 
     def artists_at(self, time_s: float) -> list[Artist]:
         """Those of the decision that is being carried out; after the end, of the last one."""
-        step = min(int(time_s / self.dt_s + 1e-6), len(self.insight.grids) - 1)
-        for image, grid in zip(self.images, self.insight.grids[step], strict=True):
+        step = min(int(time_s / self.dt_s + 1e-6), len(self.policy_trace.grids) - 1)
+        for image, grid in zip(self.images, self.policy_trace.grids[step], strict=True):
             image.set_data(_as_driven(grid))
-        for bar, text, share in zip(self.bars, self.shares, self.insight.probability[step], strict=True):
+        for bar, text, share in zip(self.bars, self.shares, self.policy_trace.probability[step], strict=True):
             bar.set_width(float(share))
             text.set_text(f"{100 * share:.0f} %")
         return self._moving()

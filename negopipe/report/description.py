@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from negopipe.tracking.store import TrackedRun
 
 
-def what_it_is(config: "RunConfig") -> str:
+def run_description(config: "RunConfig") -> str:
     """Where the policy comes from and what it is put to."""
     return f"{config.name}, seed {config.seed}: {_origin(config)}{_trial(config)}"
 
@@ -20,11 +20,11 @@ def _trial(config: "RunConfig") -> str:
     if "evaluate" not in config.stages:
         return ""
     settings = [setting_label(setting).lower() for setting in config.evaluation.settings]
-    rivals = [planner_label(name, config.evaluation.fixed_horizons_s) for name in config.evaluation.rivals] or [
+    baselines = [planner_label(name, config.evaluation.fixed_horizons_s) for name in config.evaluation.baselines] or [
         "nobody"
     ]
     tasks = f"{config.evaluation.n_episodes:,} held-out tasks each of {' and '.join(settings)}"
-    return f" Evaluated on {tasks}, against {', '.join(rivals)}."
+    return f" Evaluated on {tasks}, against {', '.join(baselines)}."
 
 
 def _origin(config: "RunConfig") -> str:
@@ -44,7 +44,7 @@ def _shown(config: "RunConfig") -> str:
     return f", shown what a search that knows everything finds on {n_tasks} training tasks"
 
 
-def tell_how_it_went(config: "RunConfig", run: "TrackedRun", results: dict[str, Any]) -> None:
+def log_summary(config: "RunConfig", run: "TrackedRun", results: dict[str, Any]) -> None:
     """The run's description, and a tag to filter by: `standing`, against the best of the other planners.
 
     results: `evaluation` and `versus_adaptive` of metrics.json
@@ -53,4 +53,4 @@ def tell_how_it_went(config: "RunConfig", run: "TrackedRun", results: dict[str, 
     evaluation = {setting: results["evaluation"][setting] for setting in settings}
     verdicts = headlines(evaluation, results["versus_adaptive"], config.evaluation.fixed_horizons_s)
     run.set_tags({"standing": standing(evaluation, results["versus_adaptive"])})
-    run.set_description("\n\n".join([what_it_is(config), *(" ".join(lines) for lines in verdicts)]))
+    run.set_description("\n\n".join([run_description(config), *(" ".join(lines) for lines in verdicts)]))

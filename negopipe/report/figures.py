@@ -29,14 +29,14 @@ from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES, Trace
 from negopipe.simulation.state import EGO
 
 ADAPTIVE_COLOR = "#00A0A0"
-RIVAL_COLORS = {
+BASELINE_COLORS = {
     "random": "#7A7A7A",
     "give_way": "#B08D57",
     "cautious": "#B5B5B5",
     "level_k": "#5E7F5E",
     "oracle": "#8FBF3F",
 }
-OTHER_COLORS = tuple(RIVAL_COLORS.values())
+OTHER_COLORS = tuple(BASELINE_COLORS.values())
 OUTCOME_COLORS = {
     "success": "#BFD9EA",
     "collision": "#D55E00",
@@ -88,10 +88,10 @@ def planner_colors(planners: Sequence[str], fixed_s: FixedHorizons) -> dict[str,
     """Colour of each planner, as hex, the same whoever is beside it; of one that is not known here, quiet ones in
     their order.
     """
-    known = {ADAPTIVE: ADAPTIVE_COLOR, **RIVAL_COLORS}
+    known = {ADAPTIVE: ADAPTIVE_COLOR, **BASELINE_COLORS}
     known |= {name: horizon_color(horizon_s) for name, horizon_s in fixed_s.items()}
     others = dict.fromkeys(name for name in planners if name not in known)
-    free = [color for name, color in RIVAL_COLORS.items() if name not in planners] or [QUIET]
+    free = [color for name, color in BASELINE_COLORS.items() if name not in planners] or [QUIET]
     known |= {name: free[i % len(free)] for i, name in enumerate(others)}
     return {name: known[name] for name in planners}
 

@@ -26,10 +26,10 @@ def headlines(
     versus: setting -> planner other than the policy -> differences to it
     """
     by_setting = [headline(setting, measures, versus[setting], fixed_s) for setting, measures in evaluation.items()]
-    rivals = _rivals(evaluation)
-    if len(evaluation) < 2 or not rivals:
+    baselines = _baselines(evaluation)
+    if len(evaluation) < 2 or not baselines:
         return by_setting
-    return [_overall(evaluation, versus, rivals, fixed_s), *by_setting]
+    return [_overall(evaluation, versus, baselines, fixed_s), *by_setting]
 
 
 def standing(evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[str, Mapping[str, Versus]]) -> str:
@@ -38,10 +38,10 @@ def standing(evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[s
     Every planner is taken by its weakest setting. Where that is the same for both, the difference on the same tasks
     decides; else the policy is ahead where its interval lies above the other's.
     """
-    rivals = _rivals(evaluation)
-    if not rivals:
+    baselines = _baselines(evaluation)
+    if not baselines:
         return "alone"
-    best = _best(evaluation, rivals)
+    best = _best(evaluation, baselines)
     (setting, ours), (their_setting, theirs) = (_weakest(evaluation, planner) for planner in (ADAPTIVE, best))
     if setting == their_setting:
         difference = versus[setting][best]["success"]
@@ -56,8 +56,8 @@ def standing(evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[s
 RELIABILITY = {"ahead": "more reliably than", "level": "as reliably as", "behind": "less reliably than"}
 
 
-def _rivals(evaluation: Mapping[str, Mapping[str, Measures]]) -> list[str]:
-    """Those who drove in all settings; the oracle, who knows what no driver does, is nobody's rival."""
+def _baselines(evaluation: Mapping[str, Mapping[str, Measures]]) -> list[str]:
+    """Those who drove in all settings; the oracle, who knows what no driver does, is nobody's baseline."""
     first, *others = evaluation.values()
     drove = [planner for planner in first if all(planner in measures for measures in others)]
     return [planner for planner in drove if planner not in (ADAPTIVE, ORACLE)]
@@ -69,22 +69,22 @@ def _weakest(evaluation: Mapping[str, Mapping[str, Measures]], planner: str) -> 
     return setting, evaluation[setting][planner]
 
 
-def _best(evaluation: Mapping[str, Mapping[str, Measures]], rivals: Sequence[str]) -> str:
+def _best(evaluation: Mapping[str, Mapping[str, Measures]], baselines: Sequence[str]) -> str:
     def rank(planner: str) -> tuple[float, float]:
         measures = _weakest(evaluation, planner)[1]
         return measures["success_rate"], measures["reward"]
 
-    return max(rivals, key=rank)
+    return max(baselines, key=rank)
 
 
 def _overall(
     evaluation: Mapping[str, Mapping[str, Measures]],
     versus: Mapping[str, Mapping[str, Versus]],
-    rivals: Sequence[str],
+    baselines: Sequence[str],
     fixed_s: FixedHorizons,
 ) -> tuple[str, str]:
     """Who gets through whatever comes."""
-    best = _best(evaluation, rivals)
+    best = _best(evaluation, baselines)
     weakest = {planner: _weakest(evaluation, planner) for planner in (ADAPTIVE, best)}
     figures = (
         f"{planner_label(planner, fixed_s)} succeeds in {100 * measures['success_rate']:.1f} % of the episodes of "
@@ -106,14 +106,14 @@ def headline(
     setting: str, measures: Mapping[str, Measures], versus: Mapping[str, Versus], fixed_s: FixedHorizons
 ) -> tuple[str, str]:
     """The adaptive planner set against the best of the others, by success rate, then by reward."""
-    rivals = _rivals({setting: measures})
-    if not rivals:
+    baselines = _baselines({setting: measures})
+    if not baselines:
         return f"{setting_label(setting)}: {_achievement(ADAPTIVE, measures[ADAPTIVE])}.", ""
-    best = max(rivals, key=lambda planner: (measures[planner]["success_rate"], measures[planner]["reward"]))
+    best = max(baselines, key=lambda planner: (measures[planner]["success_rate"], measures[planner]["reward"]))
     ours, theirs = measures[ADAPTIVE], measures[best]
-    rival = planner_label(best, fixed_s)
-    verdict = f"{setting_label(setting)}: {_verdict(versus[best], rival)}."
-    parts = (_achievement(ADAPTIVE, ours), f"{_achievement(rival, theirs)} (the best of the others)")
+    baseline = planner_label(best, fixed_s)
+    verdict = f"{setting_label(setting)}: {_verdict(versus[best], baseline)}."
+    parts = (_achievement(ADAPTIVE, ours), f"{_achievement(baseline, theirs)} (the best of the others)")
     n_tasks = versus[best]["success"]["n_tasks"]
     told = [*parts, *_rewarded(versus[best]["reward"])]
     return verdict, f"{'; '.join(told).capitalize()}. Differences on the same {n_tasks} tasks, with 95 % intervals."
@@ -127,18 +127,18 @@ def _rewarded(difference: Difference) -> list[str]:
     return [f"the adaptive planner's reward is {_interval(difference, 1, 2)} {which}"]
 
 
-def _verdict(versus: Versus, rival: str) -> str:
+def _verdict(versus: Versus, baseline: str) -> str:
     """Success decides where its paired interval excludes zero, else the driving time is told."""
     success, time = (versus[measure] for measure in ("success", "driving_time_s"))
     if not _includes_zero(success):
         verb = "loses to" if success["value"] > 0 else "beats"
-        return f"the adaptive planner {verb} {rival} by {_interval(success, 100, 1)} points of success rate"
+        return f"the adaptive planner {verb} {baseline} by {_interval(success, 100, 1)} points of success rate"
     if not time["n_tasks"]:
-        return f"the adaptive planner and {rival} succeed equally often"
+        return f"the adaptive planner and {baseline} succeed equally often"
     if _includes_zero(time):
-        return f"the adaptive planner succeeds as often as {rival} and is as fast"
+        return f"the adaptive planner succeeds as often as {baseline} and is as fast"
     pace = "faster" if time["value"] > 0 else "slower"
-    return f"the adaptive planner succeeds as often as {rival} and is {_interval(time, 1, 2)} s {pace}"
+    return f"the adaptive planner succeeds as often as {baseline} and is {_interval(time, 1, 2)} s {pace}"
 
 
 def _includes_zero(difference: Mapping[str, Any]) -> bool:

@@ -9,7 +9,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, Finding
+from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, Trend
 from negopipe.report.figures import INK, OUTCOME_COLORS, STYLE, WIDTH_IN, outcome_legend, setting_label, styled
 
 RATES = {
@@ -107,13 +107,13 @@ MEASURES = {"ego_passes_first_rate": "passing first more often", "smallest_gap_m
 VERDICTS = {HOLDS: "holds in", EQUAL: "makes no difference in", FAILS: "does not hold in", UNKNOWN: "cannot be told in"}
 
 
-def reading(found: Sequence[Finding]) -> str:
+def reading(found: Sequence[Trend]) -> str:
     """Claim 8 in one paragraph: where it holds and where it does not."""
     parts = [_sentence(words, [f for f in found if f.measure == measure]) for measure, words in MEASURES.items()]
     return "A shorter prediction horizon of the ego as more aggressive driving (claim 8). " + " ".join(parts)
 
 
-def _sentence(words: str, found: Sequence[Finding]) -> str:
+def _sentence(words: str, found: Sequence[Trend]) -> str:
     clauses = []
     for verdict, says in VERDICTS.items():
         cases = [finding for finding in found if finding.verdict == verdict]
@@ -122,14 +122,14 @@ def _sentence(words: str, found: Sequence[Finding]) -> str:
     return f"{words.capitalize()}: {', '.join(clauses)}."
 
 
-def _cases(found: Sequence[Finding]) -> str:
+def _cases(found: Sequence[Trend]) -> str:
     by_setting: dict[str, list[str]] = {}
     for finding in found:
         by_setting.setdefault(finding.setting, []).append(f"{finding.social_style_s:g} s{_turn(finding)}")
     return "; ".join(f"{setting} against {', '.join(styles)}" for setting, styles in by_setting.items())
 
 
-def _turn(finding: Finding) -> str:
+def _turn(finding: Trend) -> str:
     if finding.turn is None:
         return ""
     (horizon, value), (longer, then) = finding.turn

@@ -73,7 +73,7 @@ OF_SEVERAL: Mapping[Verdict, str] = {
 
 
 @dataclass(frozen=True)
-class Exhibit:
+class FigureItem:
     """A figure or an animation on the page.
 
     title: short name
@@ -94,7 +94,7 @@ class Section:
 
     title: str
     text: str
-    exhibits: Sequence[Exhibit]
+    items: Sequence[FigureItem]
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ MAX_THREADS = 4
 """More do not make worlds of this size faster; a machine's other cores are for other runs."""
 
 
-def settle(config: "RunConfig", folder: Path) -> "RunConfig":
+def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
     """The config with every `auto` of device, compile and n_threads replaced by what it stands for.
 
     The choice is kept in `folder`, so that a run which goes on computes as it began, whatever has changed on the

@@ -8,11 +8,11 @@ PATIENCE_S = 5
 """After so long a step is broken off; what is lost is the work since the last snapshot."""
 
 
-class AskedToStop:
+class DeferredInterrupt:
     """Context manager that holds back Ctrl-C and SIGTERM until the step that runs is over, `PATIENCE_S` at most.
 
-    Call it to know whether somebody has asked; `obey` then raises what the signal would have raised. The second
-    signal is obeyed at once.
+    Call it to know whether somebody has asked; `raise_if_requested` then raises what the signal would have raised. A
+    second signal acts at once.
     """
 
     def __init__(self) -> None:
@@ -22,18 +22,18 @@ class AskedToStop:
     def __call__(self) -> bool:
         return self._asked is not None
 
-    def obey(self) -> None:
+    def raise_if_requested(self) -> None:
         """Raise KeyboardInterrupt or SystemExit(128 + signal) if asked to stop."""
         if self._asked == signal.SIGINT:
             raise KeyboardInterrupt
         if self._asked is not None:
             raise SystemExit(128 + self._asked)
 
-    def __enter__(self) -> "AskedToStop":
+    def __enter__(self) -> "DeferredInterrupt":
         if threading.current_thread() is threading.main_thread():  # Python handles signals nowhere else
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._handlers[number] = signal.signal(number, self._note)  # type: ignore[assignment]
-            self._handlers[signal.SIGALRM] = signal.signal(signal.SIGALRM, lambda *_: self.obey())  # type: ignore[assignment]
+            self._handlers[signal.SIGALRM] = signal.signal(signal.SIGALRM, lambda *_: self.raise_if_requested())  # type: ignore[assignment]
         return self
 
     def __exit__(
@@ -46,6 +46,6 @@ class AskedToStop:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self._asked is not None:
-            self.obey()
+            self.raise_if_requested()
         self._asked = number
         signal.alarm(PATIENCE_S)

@@ -48,7 +48,7 @@ class Variant(NamedTuple):
 Seconds = dict[Variant, float]
 
 
-def settle(config: "RunConfig", folder: Path) -> "RunConfig":
+def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
     """The config with every `auto` of policy.precision and policy.memory_format replaced by what is faster here.
 
     Torch must have been prepared for the config (`backend.prepare`), whose device and threads the timing takes. The
@@ -123,6 +123,6 @@ def _comparison(seconds: Seconds, chosen: Variant) -> str:
     others = [v for v in seconds if v.precision != chosen.precision] or [v for v in seconds if v != chosen]
     if not others:
         return f"{said}; all else takes many times as long"
-    rival = min(others, key=lambda variant: seconds[variant])
-    name = rival.memory_format if rival.precision == chosen.precision else rival.precision
-    return f"{said}; {name} {1e3 * seconds[rival]:.3g} ms"
+    baseline = min(others, key=lambda variant: seconds[variant])
+    name = baseline.memory_format if baseline.precision == chosen.precision else baseline.precision
+    return f"{said}; {name} {1e3 * seconds[baseline]:.3g} ms"

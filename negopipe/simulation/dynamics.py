@@ -18,14 +18,14 @@ SteerDegrees = Annotated[float, Field(gt=0, lt=90)]
 class PerfectConfig:
     """The vehicle is where the plan says."""
 
-    model: Literal["perfect"]
+    kind: Literal["perfect"]
 
 
 @schema
 class BicycleConfig:
     """A car that follows the plan; `conf/dynamics/bicycle.yaml` says what each value means."""
 
-    model: Literal["bicycle"]
+    kind: Literal["bicycle"]
     wheelbase_m: PositiveMetres
     steer_max_deg: SteerDegrees
     steer_rate_max_degps: PositiveFloat
@@ -39,7 +39,7 @@ class BicycleConfig:
     replan_distance_m: PositiveMetres
 
 
-DynamicsConfig = Annotated[PerfectConfig | BicycleConfig, Field(discriminator="model")]
+DynamicsConfig = Annotated[PerfectConfig | BicycleConfig, Field(discriminator="kind")]
 
 
 class Dynamics(Protocol):

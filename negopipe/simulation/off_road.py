@@ -10,7 +10,7 @@ from torch import Tensor
 from negopipe.simulation.geometry import Boxes
 from negopipe.simulation.reference_line import ReferenceLine
 
-FAR_M = 1000.0
+STRIP_M = 1000.0
 """Longer than any view."""
 
 DEEP_M = 60.0
@@ -35,14 +35,14 @@ class _Kerb(NamedTuple):
     heading: Tensor
 
 
-def beyond_kerbs(line: ReferenceLine, width_m: float, device: torch.device | str) -> Boxes:
+def off_road_boxes(line: ReferenceLine, width_m: float, device: torch.device | str) -> Boxes:
     """Rectangles (fields [R], world frame) that together cover what lies beyond the kerbs of the road, and no road.
 
     On a bent road they are exact to `SAGITTA_M` at the kerb and cover what is nearer than `DEEP_M` to it.
     """
     if line.is_straight:
-        middle = (width_m + FAR_M) / 2
-        rows = [(0.0, side * middle, 0.0, FAR_M, FAR_M) for side in (-1, 1)]
+        middle = (width_m + STRIP_M) / 2
+        rows = [(0.0, side * middle, 0.0, STRIP_M, STRIP_M) for side in (-1, 1)]
     else:
         cuts = _cut(line, width_m)
         sigma = torch.arange(cuts[0] - 2 * DEEP_M, cuts[-1] + 2 * DEEP_M, SAMPLE_M, dtype=torch.float64, device=device)
@@ -93,9 +93,9 @@ def _strip(kerbs: dict[int, _Kerb], side: int, first: float, last: float) -> tup
     ahead = ahead + torch.where((u > 0) & (turn < 0), fan, 0.0).max()
     edge, depth = _clear(kerbs, side, (x, y, yaw), (float(back), float(ahead)), piece)
     if math.isinf(first):
-        back = ahead - FAR_M
+        back = ahead - STRIP_M
     if math.isinf(last):
-        ahead = back + FAR_M
+        ahead = back + STRIP_M
     along, across = float(back + ahead) / 2, side * (edge + depth / 2)
     cos, sin = math.cos(yaw), math.sin(yaw)
     return x + along * cos - across * sin, y + along * sin + across * cos, yaw, float(ahead - back), depth

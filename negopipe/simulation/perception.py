@@ -31,7 +31,7 @@ class PerceptionConfig:
 
 @dataclass(frozen=True)
 class Perception:
-    """Of S seats (vehicles that are driven), each seeing O = V - 1 others; E worlds.
+    """Of S agents (vehicles that are driven), each seeing O = V - 1 others; E worlds.
 
     own: VehicleState [E, S], where the own plan has the vehicle (the tracking controller's reference)
     direction: [E, S] float32, own driving direction along the road, +1 or -1
@@ -54,17 +54,17 @@ class Perception:
     other_history: Tensor
     is_seen_history: Tensor
 
-    def of(self, seat: int) -> "Perception":
-        """The perception of one seat, S = 1."""
-        return self.of_seats([seat])
+    def of(self, agent: int) -> "Perception":
+        """The perception of one agent, S = 1."""
+        return self.of_agents([agent])
 
-    def of_seats(self, seats: list[int]) -> "Perception":
-        """The perception of some seats, in the order given."""
-        if seats == list(range(self.direction.shape[1])):
+    def of_agents(self, agents: list[int]) -> "Perception":
+        """The perception of some agents, in the order given."""
+        if agents == list(range(self.direction.shape[1])):
             return self
 
         def pick(field: Tensor) -> Tensor:
-            return field[:, seats]
+            return field[:, agents]
 
         return Perception(
             own=map_tensors(pick, self.own),
@@ -73,9 +73,9 @@ class Perception:
             style_horizon=pick(self.style_horizon),
             other=map_tensors(pick, self.other),
             is_seen=pick(self.is_seen),
-            own_history=self.own_history[:, :, seats],
-            other_history=self.other_history[:, :, seats],
-            is_seen_history=self.is_seen_history[:, :, seats],
+            own_history=self.own_history[:, :, agents],
+            other_history=self.other_history[:, :, agents],
+            is_seen_history=self.is_seen_history[:, :, agents],
         )
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from negopipe.schema import NonNegativeMetres, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import Boxes, smoothstep, wrap_angle
-from negopipe.simulation.off_road import beyond_kerbs
+from negopipe.simulation.off_road import off_road_boxes
 from negopipe.simulation.reference_line import BendConfig, ReferenceLine, check_bends
 from negopipe.simulation.state import VehicleState
 
@@ -96,7 +96,7 @@ class Road:
 
     def off_road_boxes(self) -> Boxes:
         """Rectangles that cover what lies beyond the kerbs, as far as a vehicle sees; fields [R], world frame."""
-        return beyond_kerbs(self.reference, self.config.width_m, self.parked_cars.device)
+        return off_road_boxes(self.reference, self.config.width_m, self.parked_cars.device)
 
     def kerb_lines(self, first_m: float, last_m: float) -> Tensor:
         """Points of the right and the left kerb from sigma `first_m` to `last_m`, [2, K, 2] float32, m, world."""

@@ -176,8 +176,8 @@ class TaskSampler:
         scenario, tables, n_social = self.scenario, self._tables, self.scenario.n_social
         n_vehicles = 1 + n_social
         widths = [1, 1, 1, 1, n_vehicles, n_vehicles, n_social, n_social, n_social, n_social]
-        chances = torch.rand(n, sum(widths), generator=self.generator, device=self.generator.device)
-        which, noise, ego, first, start, desired, style, next_style, switch, patience = chances.split(widths, dim=1)
+        shares = torch.rand(n, sum(widths), generator=self.generator, device=self.generator.device)
+        which, noise, ego, first, start, desired, style, next_style, switch, patience = shares.split(widths, dim=1)
         family = torch.searchsorted(tables.until, which[:, 0].contiguous(), right=True).clamp(max=len(tables.until) - 1)
         behind = torch.arange(n_social, device=family.device) * scenario.social_spacing_m
         social = _outside(tables.gaps[family], tables.distance[family], first) + behind
@@ -234,25 +234,25 @@ def _filled_up(rows: list[list[float]]) -> tuple[Tensor, Tensor]:
     return torch.tensor(filled), torch.tensor([len(row) for row in rows])
 
 
-def _one_of(values: Tensor, n_values: Tensor, family: Tensor, chance: Tensor) -> Tensor:
+def _one_of(values: Tensor, n_values: Tensor, family: Tensor, share: Tensor) -> Tensor:
     """[n, V] float32: one of the family's values per vehicle."""
     last = (n_values - 1)[family, None]
-    index = (chance * n_values[family, None]).long().minimum(last)
+    index = (share * n_values[family, None]).long().minimum(last)
     return values[family].gather(1, index)
 
 
-def _between(interval: tuple[float, float], chance: Tensor) -> Tensor:
+def _between(interval: tuple[float, float], share: Tensor) -> Tensor:
     low, high = interval
-    return low + (high - low) * chance
+    return low + (high - low) * share
 
 
-def _between_each(intervals: Tensor, chance: Tensor) -> Tensor:
+def _between_each(intervals: Tensor, share: Tensor) -> Tensor:
     """[n, V] float32 from the rows' intervals [n, 2]; one at infinity gives infinity."""
     low, high = intervals[:, :1], intervals[:, 1:]
-    return torch.where(low.isinf(), low, low + (high - low) * chance)
+    return torch.where(low.isinf(), low, low + (high - low) * share)
 
 
-def _outside(gaps: Tensor, intervals: Tensor, chance: Tensor) -> Tensor:
+def _outside(gaps: Tensor, intervals: Tensor, share: Tensor) -> Tensor:
     """[n, V] float32 from the rows' intervals [n, 2] without their gaps [n, G, 2].
 
     What is drawn of the interval less the gaps' lengths moves up by every gap that it has reached. The bounds
@@ -260,7 +260,7 @@ def _outside(gaps: Tensor, intervals: Tensor, chance: Tensor) -> Tensor:
     """
     low, high = intervals[:, :1], intervals[:, 1:]
     length = high - low - gaps.diff(dim=-1).nan_to_num(nan=0.0).sum(dim=1)  # nan: inf - inf, of those filled up
-    distance = low + length * chance
+    distance = low + length * share
     for gap in gaps.unbind(dim=1):
         start, end = gap.split(1, dim=1)
         distance = torch.where(distance >= start, (distance + (end - start)).maximum(end), distance)

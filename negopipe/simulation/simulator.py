@@ -1,7 +1,7 @@
 """Batched worlds: reset and step. State goes in, state comes out; nothing is hidden.
 
-The simulator moves vehicles and tells what happened; who drives them (`negopipe.agents.driver`) and what the ego is paid
-(`negopipe.game.reward`) is not its business.
+The simulator moves vehicles and tells what happened. Who drives them (`negopipe.agents.driver`) and what the ego is
+paid (`negopipe.game.reward`) is not its business.
 """
 
 from dataclasses import dataclass, replace

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from negopipe.errors import UserError
-from negopipe.schema import FAR_M
+from negopipe.schema import LONGEST_VIEW_M
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig
@@ -100,5 +100,5 @@ class _Starts:
 
 def _tried(interval: tuple[float, float]) -> Tensor:
     """[N] float32, m: both ends of the interval and what lies between; far away all is alike."""
-    low, high = interval[0], min(interval[1], max(interval[0], FAR_M))
+    low, high = interval[0], min(interval[1], max(interval[0], LONGEST_VIEW_M))
     return torch.linspace(low, high, 2 + int((high - low) / STEP_M) if high > low else 1)

@@ -117,7 +117,7 @@ class World:
 
 @dataclass(frozen=True)
 class Motion:
-    """What a driver makes its vehicle do until the next decision; E worlds, S seats.
+    """What a driver makes its vehicle do until the next decision; E worlds, S agents.
 
     state: VehicleState [E, S], wanted one control step later
     horizon: [E, S] float32, s, prediction horizon that was used; NaN for a driver that does not use one

@@ -10,8 +10,8 @@ import pandas as pd
 
 from negopipe.agents.driver import fixed_horizon
 from negopipe.agents.horizon_drivers import by_horizon
-from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, cell, claims, findings
-from negopipe.evaluation.episodes import decide_once, drive_episodes
+from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, cell, claims, trends
+from negopipe.evaluation.episodes import drive_episodes, warm_up
 from negopipe.evaluation.names import fixed_name
 from negopipe.game.environment import Game
 from negopipe.report.figures import render
@@ -33,18 +33,18 @@ log = logging.getLogger("negopipe")
 MAP_NAME = "behaviour_map.csv"
 
 
-def run(config: "RunConfig", run: "TrackedRun") -> None:
+def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Drive all pairs in all settings; writes behaviour_map.csv, figures/behaviour_map.* and claim 8's verdicts."""
     game = game_of(config)
     table = drive_map(config, game)
-    write_csv(run.folder / MAP_NAME, table, BEHAVIOUR_MAP)
-    run.log_artifact(run.folder / MAP_NAME)
-    _draw(table, config.report.figure_formats, run)
-    found = findings(table)
-    run.update_metrics_json({"behaviour_map": {"claims": claims(found)}})
+    write_csv(tracked.folder / MAP_NAME, table, BEHAVIOUR_MAP)
+    tracked.log_artifact(tracked.folder / MAP_NAME)
+    _draw(table, config.report.figure_formats, tracked)
+    found = trends(table)
+    tracked.update_metrics_json({"behaviour_map": {"claims": claims(found)}})
     paragraph = reading(found)
     if "evaluate" not in config.stages:  # which has more to say
-        run.set_description(paragraph)
+        tracked.set_description(paragraph)
         log.info(paragraph)
 
 
@@ -56,7 +56,7 @@ def drive_map(config: "RunConfig", game: Game) -> pd.DataFrame:
     if n > 1:  # compile before processes are forked
         setting, style_s, horizon_s = pairs[0]
         first = map_tensors(lambda field: field[:1], map_tasks(config, game, setting, style_s))
-        decide_once(game, by_horizon(game, fixed_horizon(horizon_s)), first)
+        warm_up(game, by_horizon(game, fixed_horizon(horizon_s)), first)
     with ProgressLine("behaviour map", len(pairs)) as progress:
 
         def say(index: int) -> None:

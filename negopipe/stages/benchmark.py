@@ -68,7 +68,7 @@ COLUMNS = {
 Figures = dict[str, float]
 
 
-def run(config: "RunConfig", run: "TrackedRun") -> None:
+def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Measure every backend that the machine has; writes benchmark.json and prints it as a table.
 
     Raises UserError if none of `benchmark.backends` is there or a cell ends without a result (out of memory).
@@ -85,14 +85,14 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
             figures |= _in_own_process(measure_cell, config, backend, n_worlds)
             rate = figures[f"{backend}.{n_worlds}.decisions_per_s"]
             progress.advance(f"{backend}, {n_worlds} worlds, {rate:.0f} decisions/s")
-        figures |= _in_own_process(measure_training, config, run.folder)
+        figures |= _in_own_process(measure_training, config, tracked.folder)
         progress.advance(f"training, {figures['train.decisions_per_s']:.0f} decisions/s")
     figures |= limits(config, devices, figures)
     figures |= comparisons(config, cells, figures)
-    path = run.folder / BENCHMARK_NAME
+    path = tracked.folder / BENCHMARK_NAME
     path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    run.log_artifact(path)
-    run.log_metrics({f"benchmark/{name.replace('.', '/')}": value for name, value in figures.items()}, step=0)
+    tracked.log_artifact(path)
+    tracked.log_metrics({f"benchmark/{name.replace('.', '/')}": value for name, value in figures.items()}, step=0)
     _show(cells, figures)
     log.info("benchmark  %s", path)
 

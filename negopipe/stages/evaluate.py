@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING
 import pandas as pd
 from torch import Tensor
 
-from negopipe.agents.baseline import Rival
+from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver, MakeDriver
 from negopipe.agents.horizon_drivers import adaptive_planner
 from negopipe.errors import UserError
 from negopipe.evaluation import metrics
 from negopipe.evaluation.comparison import regret, versus_adaptive
-from negopipe.evaluation.episodes import decide_once, drive_episodes
+from negopipe.evaluation.episodes import drive_episodes, warm_up
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.safety import safety
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
 from negopipe.game.environment import Game
 from negopipe.policy.actor_critic import ActorCritic
-from negopipe.report.description import tell_how_it_went
+from negopipe.report.description import log_summary
 from negopipe.runtime.build import build, load_policy
 from negopipe.runtime.progress import ProgressLine
 from negopipe.runtime.workers import n_processes, side_by_side
@@ -45,9 +45,9 @@ Driven = tuple[pd.DataFrame, Trace]
 """Of one planner in one setting: what is measured, and the first drives."""
 
 
-def run(config: "RunConfig", run: "TrackedRun") -> None:
+def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Drive every planner through every setting; writes episodes.csv, traces.npz and metrics.json."""
-    checkpoint = checkpoint_of(config, run)
+    checkpoint = checkpoint_of(config, tracked)
     game, policy = build(config)
     load_policy(checkpoint, policy, config)
     jobs = _jobs(config, game, policy)
@@ -62,14 +62,14 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
             log.info(f"{setting:10} without {planner}: {DOES_NOT_FIT}")
     tables, traces = zip(*(driven for driven in done if driven is not None), strict=True)
     table = pd.concat(tables, ignore_index=True)
-    write_csv(run.folder / EPISODES_NAME, table, EPISODES)
-    save_traces(run.folder / "traces.npz", list(traces))
+    write_csv(tracked.folder / EPISODES_NAME, table, EPISODES)
+    save_traces(tracked.folder / "traces.npz", list(traces))
     summary = metrics.summary(table)
     results = summary | versus_adaptive(table) | regret(table)
-    run.update_metrics_json(results)
-    run.log_artifact(run.folder / EPISODES_NAME)
-    run.log_metrics(_scalars(summary), step=0)
-    tell_how_it_went(config, run, results)
+    tracked.update_metrics_json(results)
+    tracked.log_artifact(tracked.folder / EPISODES_NAME)
+    tracked.log_metrics(_scalars(summary), step=0)
+    log_summary(config, tracked, results)
     _say(summary)
 
 
@@ -79,7 +79,7 @@ def _jobs(config: "RunConfig", game: Game, policy: ActorCritic) -> dict[tuple[st
     jobs: dict[tuple[str, str], Callable[[], Driven | None]] = {}
     for setting in config.evaluation.settings:
         tasks = held_out_tasks(config, game, setting)
-        for name in (ADAPTIVE, *config.evaluation.rivals):
+        for name in (ADAPTIVE, *config.evaluation.baselines):
             drive = partial(_drive, config, game, policy, tasks, (name, setting))
             jobs[setting, name] = partial(_measured, config, drive)
         if oracle is not None and oracle.has(setting):
@@ -97,22 +97,22 @@ def _measured(config: "RunConfig", drive: Callable[[], Trace | None]) -> Driven 
 def _warm_up(config: "RunConfig", game: Game, policy: ActorCritic) -> None:
     """Compile what every planner needs before processes are forked: else each of them would."""
     first = map_tensors(lambda field: field[:1], held_out_tasks(config, game, config.evaluation.settings[0]))
-    decide_once(game, _adaptive(config, game, policy), first)
-    for rival in config.evaluation.rivals.values():
-        decide_once(game, partial(rival.driver, game), first)
+    warm_up(game, _adaptive(config, game, policy), first)
+    for baseline in config.evaluation.baselines.values():
+        warm_up(game, partial(baseline.driver, game), first)
 
 
 def _drive(config: "RunConfig", game: Game, policy: ActorCritic, tasks: Task, names: tuple[str, str]) -> Trace:
-    """The planner names[0]: the policy or one of the rivals."""
+    """The planner names[0]: the policy or one of the baselines."""
     if names[0] != ADAPTIVE:
-        return drive_rival(config, game, config.evaluation.rivals[names[0]], tasks, names)
+        return drive_baseline(config, game, config.evaluation.baselines[names[0]], tasks, names)
     ego, n_worlds, paid = _adaptive(config, game, policy), config.evaluation.n_worlds, config.evaluation.reward
-    return drive_episodes(game, ego, tasks, n_worlds, paid, names, is_in_step=_is_drawn(config))
+    return drive_episodes(game, ego, tasks, n_worlds, paid, names, is_lockstep=_is_drawn(config))
 
 
 def _adaptive(config: "RunConfig", game: Game, policy: ActorCritic) -> MakeDriver:
-    def ego(chance: Tensor) -> HorizonDriver:
-        numbers = chance if _is_drawn(config) else None
+    def ego(episode_key: Tensor) -> HorizonDriver:
+        numbers = episode_key if _is_drawn(config) else None
         return HorizonDriver(adaptive_planner(policy, game, config.policy.horizons_s, numbers), game.plan)
 
     return ego
@@ -123,11 +123,11 @@ def _is_drawn(config: "RunConfig") -> bool:
 
 
 @one_thread()
-def drive_rival(config: "RunConfig", game: Game, rival: Rival, tasks: Task, names: tuple[str, str]) -> Trace:
+def drive_baseline(config: "RunConfig", game: Game, baseline: Baseline, tasks: Task, names: tuple[str, str]) -> Trace:
     """The first of the tasks, as many as it drives."""
-    driven = map_tensors(lambda field: field[: rival.n_episodes], tasks)
+    driven = map_tensors(lambda field: field[: baseline.n_episodes], tasks)
     n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
-    return drive_episodes(game, partial(rival.driver, game), driven, n_worlds, paid, names, rival.is_in_step)
+    return drive_episodes(game, partial(baseline.driver, game), driven, n_worlds, paid, names, baseline.is_lockstep)
 
 
 def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:

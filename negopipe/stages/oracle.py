@@ -38,23 +38,23 @@ CONVERGED = 0.05
 """A search is said to have converged if twice the budget gains less than this, in mean return."""
 
 
-def run(config: "RunConfig", run: "TrackedRun") -> None:
+def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Search all settings; writes oracle.csv (`table` and `n_switches`) and the part `oracle` of metrics.json.
 
     A run that was stopped goes on with the setting that it was at.
     """
     game = game_of(config)
-    parts = {setting: run.folder / PARTS_NAME / f"{setting}.csv" for setting in config.oracle.settings}
+    parts = {setting: tracked.folder / PARTS_NAME / f"{setting}.csv" for setting in config.oracle.settings}
     n_rounds = 2 * config.oracle.rounds
     n_before = sum(part.exists() for part in parts.values()) * n_rounds
     with ProgressLine("oracle", len(parts) * n_rounds, n_before) as progress:
         for setting, part in parts.items():
             if not part.exists():
-                _search(config, game, run, setting, part, progress)
+                _search(config, game, tracked, setting, part, progress)
     table = pd.concat([read_csv(part, ORACLE_TABLE.texts) for part in parts.values()])
-    write_csv(run.folder / "oracle.csv", table, ORACLE_TABLE)
-    run.log_artifact(run.folder / "oracle.csv")
-    shutil.rmtree(run.folder / PARTS_NAME)
+    write_csv(tracked.folder / "oracle.csv", table, ORACLE_TABLE)
+    tracked.log_artifact(tracked.folder / "oracle.csv")
+    shutil.rmtree(tracked.folder / PARTS_NAME)
 
 
 @one_thread()
@@ -97,7 +97,7 @@ def play(config: "RunConfig", game: Game, tasks: Task, best: Sequences, setting:
     """The record of the sequences `best` [N], driven like every planner."""
     horizons = torch.tensor(config.policy.horizons_s, device=best.actions.device)
     choose, paid = sequence_planner(horizons[best.actions.T]), config.evaluation.reward
-    return drive_episodes(game, by_horizon(game, choose), tasks, len(tasks), paid, (ORACLE, setting), is_in_step=True)
+    return drive_episodes(game, by_horizon(game, choose), tasks, len(tasks), paid, (ORACLE, setting), is_lockstep=True)
 
 
 def fixed_episodes(config: "RunConfig", game: Game, tasks: Task, setting: str) -> dict[float, pd.DataFrame]:

@@ -9,14 +9,14 @@ import pandas as pd
 
 from negopipe.errors import UserError
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
-from negopipe.evaluation.replay import Insight, look_into, replay
+from negopipe.evaluation.replay import PolicyTrace, record_policy, replay
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
 from negopipe.game.environment import Game
 from negopipe.report import animation
 from negopipe.runtime.build import build, load_policy
 from negopipe.search.horizon_text import from_text
 from negopipe.simulation.state import Task, map_tensors
-from negopipe.stages.evaluate import checkpoint_of, drive_rival, held_out_tasks, measure
+from negopipe.stages.evaluate import checkpoint_of, drive_baseline, held_out_tasks, measure
 from negopipe.stages.report import make_scene
 from negopipe.tracking.csv_file import csv_text, parse_csv, read_csv
 from negopipe.tracking.whole_file import write_whole
@@ -41,31 +41,31 @@ class EpisodeId(NamedTuple):
     episode: int
 
 
-def run(config: "RunConfig", run: "TrackedRun") -> None:
+def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Drive `episode` again; writes replays/<setting>_<planner>_<number>.gif and a still, .png.
 
     Raises UserError if it was not evaluated in this run, or if it does not come out as it did then.
     """
-    which, row = find_episode(config, run.folder)
+    which, row = find_episode(config, tracked.folder)
     game, policy = build(config)
-    load_policy(checkpoint_of(config, run), policy, config)
+    load_policy(checkpoint_of(config, tracked), policy, config)
     only = slice(which.episode, which.episode + 1)
     tasks = map_tensors(lambda field: field[only], held_out_tasks(config, game, which.setting))
     trace = _drive(config, game, tasks, which, row)
-    _check_same(config, run.folder, which, row, trace)
-    insight = _insight(config, game, policy, tasks, row) if which.planner == ADAPTIVE else None
-    folder = run.folder / FOLDER
+    _check_same(config, tracked.folder, which, row, trace)
+    policy_trace = _insight(config, game, policy, tasks, row) if which.planner == ADAPTIVE else None
+    folder = tracked.folder / FOLDER
     folder.mkdir(exist_ok=True)
     name = "_".join(map(str, which))
     scene, fixed_s = make_scene(config.scenario, game.simulator.road), config.evaluation.fixed_horizons_s
     files = {
-        "gif": animation.animate([trace], 0, scene, config.report.animation_fps, fixed_s, insight),
-        "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, fixed_s, insight),
+        "gif": animation.animate([trace], 0, scene, config.report.animation_fps, fixed_s, policy_trace),
+        "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, fixed_s, policy_trace),
     }
     for suffix, data in files.items():
         path = folder / f"{name}.{suffix}"
         write_whole(path, data)
-        run.log_artifact(path, FOLDER)
+        tracked.log_artifact(path, FOLDER)
         log.info("replay     %s", path)
 
 
@@ -93,7 +93,7 @@ def _drive(config: "RunConfig", game: Game, tasks: Task, which: EpisodeId, row: 
     names = (which.planner, which.setting)
     if row["horizons"]:
         return replay(game, tasks, [from_text(row["horizons"])], config.evaluation.reward, names)
-    return drive_rival(config, game, config.evaluation.rivals[which.planner], tasks, names)
+    return drive_baseline(config, game, config.evaluation.baselines[which.planner], tasks, names)
 
 
 def _check_same(config: "RunConfig", folder: Path, which: EpisodeId, row: pd.Series, trace: Trace) -> None:
@@ -123,7 +123,7 @@ def _check_bits(config: "RunConfig", which: EpisodeId, kept: Trace, trace: Trace
             raise UserError(f"episode {config.episode} must come out as evaluated, got another {name}")
 
 
-def _insight(config: "RunConfig", game: Game, policy: "ActorCritic", tasks: Task, row: pd.Series) -> Insight:
+def _insight(config: "RunConfig", game: Game, policy: "ActorCritic", tasks: Task, row: pd.Series) -> PolicyTrace:
     horizons, interval_s = config.policy.horizons_s, config.observation.frame_interval_s
     chosen = [from_text(row["horizons"])]
-    return look_into(game, policy, horizons, interval_s, tasks, chosen, config.evaluation.reward)[0]
+    return record_policy(game, policy, horizons, interval_s, tasks, chosen, config.evaluation.reward)[0]

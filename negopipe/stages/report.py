@@ -13,11 +13,11 @@ import torch
 from matplotlib.figure import Figure
 
 from negopipe.errors import UserError
-from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, findings
+from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, trends
 from negopipe.evaluation.claims import judge_claims
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.names import FixedHorizons
-from negopipe.evaluation.replay import Insight, look_into
+from negopipe.evaluation.replay import PolicyTrace, record_policy
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.animation import Scene
@@ -26,7 +26,7 @@ from negopipe.report.figures import planner_label, setting_label
 from negopipe.report.headlines import headlines
 from negopipe.report.map_figure import behaviour_map as map_figure
 from negopipe.report.map_figure import reading as map_reading
-from negopipe.report.page import Exhibit, ReportConfig, Results, Section, build_page, chapters, settings_in_order
+from negopipe.report.page import FigureItem, ReportConfig, Results, Section, build_page, chapters, settings_in_order
 from negopipe.report.provenance import provenance, write_claims
 from negopipe.runtime.build import build, load_policy
 from negopipe.simulation.road import Road
@@ -54,68 +54,68 @@ N_TABLED = 100
 """Episodes of each planner and setting in the store's table, which is for looking through; episodes.csv has all."""
 
 
-class _Gallery:
-    """Saves what is drawn into the run folder and hands it on as an exhibit of the page."""
+class _FigureWriter:
+    """Saves what is drawn into the run folder and hands it on as an item of the page."""
 
     def __init__(self, folder: Path, formats: Sequence[str] = ()) -> None:
         self.folder, self.formats = folder, formats
         shutil.rmtree(folder, ignore_errors=True)  # what an earlier report left there with other options
         folder.mkdir()
 
-    def figure(self, name: str, figure: Figure, title: str, reading: str) -> Exhibit:
+    def figure(self, name: str, figure: Figure, title: str, reading: str) -> FigureItem:
         svg = figures.render(figure, "svg")
         for format_ in self.formats:
             data = svg if format_ == "svg" else figures.render(figure, format_)
             (self.folder / f"{name}.{format_}").write_bytes(data)
-        return Exhibit(title, reading, svg)
+        return FigureItem(title, reading, svg)
 
-    def animation(self, name: str, gif: bytes, still: bytes, title: str, reading: str) -> Exhibit:
+    def animation(self, name: str, gif: bytes, still: bytes, title: str, reading: str) -> FigureItem:
         (self.folder / f"{name}.gif").write_bytes(gif)
         (self.folder / f"{name}.png").write_bytes(still)
-        return Exhibit(title, reading, gif, still)
+        return FigureItem(title, reading, gif, still)
 
 
-def run(config: "RunConfig", run: "TrackedRun") -> None:
+def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Write claims.json, figures/, animations/ and report.html into the run folder and log them as artifacts.
 
     Raises UserError if a file that an earlier stage writes is missing, or if the planners that are shown side
     by side were not evaluated on the same tasks.
     """
     if config.runs is not None:
-        return report_runs.run(config, run)
-    metrics = _read_metrics(run.folder)
+        return report_runs.run(config, tracked)
+    metrics = _read_metrics(tracked.folder)
     settings = settings_in_order(metrics["evaluation"], config.evaluation.leading_setting)
     shown = [ADAPTIVE, *config.report.side_by_side]
-    traces = _by_setting(load_traces(run.folder / "traces.npz"), settings, shown)
-    table = _in_order(read_csv(run.folder / EPISODES_NAME, EPISODES, EPISODES.columns), settings)
+    traces = _by_setting(load_traces(tracked.folder / "traces.npz"), settings, shown)
+    table = _in_order(read_csv(tracked.folder / EPISODES_NAME, EPISODES, EPISODES.columns), settings)
     planners = list(table["planner"].unique())
     results = Results(*({setting: _pick(metrics[part][setting], planners) for setting in settings} for part in RESULTS))
     fixed_s = config.evaluation.fixed_horizons_s
     claims = judge_claims(table, [trace for group in traces.values() for trace in group], fixed_s)
-    write_claims(run, claims)
-    drawings = _Gallery(run.folder / "figures", config.report.figure_formats)
-    films = _Gallery(run.folder / "animations")
+    write_claims(tracked, claims)
+    drawings = _FigureWriter(tracked.folder / "figures", config.report.figure_formats)
+    films = _FigureWriter(tracked.folder / "animations")
     road = Road(config.scenario.road)
-    insights = look_into_policy(config, run, traces)
+    policy_traces = record_policies(config, tracked, traces)
     log.info("report: figures")
     sections = [
         _planners(drawings, table, _unseen(config), fixed_s),
         _negotiations(drawings, traces, road.corridor_sigma_m, fixed_s),
-        _animations(config.report, films, traces, make_scene(config.scenario, road), insights, fixed_s),
-        _behaviour(drawings, traces, config.scenario.road.corridor_length_m, run.folder / MAP_NAME, fixed_s),
-        _training(drawings, films, run, sorted({gap for gaps in _unseen(config).values() for gap in gaps})),
+        _animations(config.report, films, traces, make_scene(config.scenario, road), policy_traces, fixed_s),
+        _behaviour(drawings, traces, config.scenario.road.corridor_length_m, tracked.folder / MAP_NAME, fixed_s),
+        _training(drawings, films, tracked, sorted({gap for gaps in _unseen(config).values() for gap in gaps})),
     ]
     verdicts = headlines(results.evaluation, results.versus, fixed_s)
     title = f"{config.name}, seed {config.seed}"
     tested = claims if any(claim.verdict != "not tested" for claim in claims) else []
-    page = build_page(title, verdicts, chapters(results, fixed_s), tested, sections, provenance(config.seed, run))
-    (run.folder / "report.html").write_text(page, encoding="utf-8")
-    for gallery in (drawings, films):
-        if any(gallery.folder.iterdir()):
-            run.log_artifact(gallery.folder, gallery.folder.name)
-    run.log_artifact(run.folder / "report.html")
-    _log_tables(run, metrics, table)
-    log.info("report: %s", run.folder / "report.html")
+    page = build_page(title, verdicts, chapters(results, fixed_s), tested, sections, provenance(config.seed, tracked))
+    (tracked.folder / "report.html").write_text(page, encoding="utf-8")
+    for writer in (drawings, films):
+        if any(writer.folder.iterdir()):
+            tracked.log_artifact(writer.folder, writer.folder.name)
+    tracked.log_artifact(tracked.folder / "report.html")
+    _log_tables(tracked, metrics, table)
+    log.info("report: %s", tracked.folder / "report.html")
 
 
 def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
@@ -137,32 +137,32 @@ def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
 
 
 def _planners(
-    gallery: _Gallery,
+    writer: _FigureWriter,
     table: pd.DataFrame,
     unseen: Mapping[str, Sequence[tuple[float, float]]],
     fixed_s: FixedHorizons,
 ) -> Section:
     """Two settings share a figure at most: three would be too small to read on a phone."""
     settings = list(table["setting"].unique())
-    exhibits = []
+    items = []
     for pair in (settings[i : i + 2] for i in range(0, len(settings), 2)):
         title, reading = caption(
             "comparison", settings=" and ".join(setting_label(setting).lower() for setting in pair)
         )
         drawing = figures.comparison(table[table["setting"].isin(pair)], fixed_s)
-        exhibits.append(gallery.figure(f"comparison_{'_'.join(pair)}", drawing, title, reading))
-    exhibits.append(gallery.figure("outcomes", outcome_figures.outcomes(table, fixed_s), *caption("outcomes")))
-    exhibits.append(gallery.figure("arrivals", outcome_figures.arrivals(table, fixed_s), *caption("arrivals")))
+        items.append(writer.figure(f"comparison_{'_'.join(pair)}", drawing, title, reading))
+    items.append(writer.figure("outcomes", outcome_figures.outcomes(table, fixed_s), *caption("outcomes")))
+    items.append(writer.figure("arrivals", outcome_figures.arrivals(table, fixed_s), *caption("arrivals")))
     has_styles = table.groupby("setting")["style_horizon_s"].transform("nunique") > 1
     if has_styles.any():
         drawing = outcome_figures.success_by_style(table[has_styles], fixed_s)
-        exhibits.append(gallery.figure("success_by_style", drawing, *caption("success_by_style")))
+        items.append(writer.figure("success_by_style", drawing, *caption("success_by_style")))
     for setting, rows in table[has_styles].groupby("setting", sort=False):
         label, own = setting_label(str(setting)), rows[rows["planner"] == ADAPTIVE]
         drawing = outcome_figures.outcome_map(own, label, unseen.get(str(setting), ()))
         title, reading = caption("outcome_map", setting=label)
-        exhibits.append(gallery.figure(f"outcome_map_{setting}", drawing, title, reading))
-    return Section("Planners compared", "", exhibits)
+        items.append(writer.figure(f"outcome_map_{setting}", drawing, title, reading))
+    return Section("Planners compared", "", items)
 
 
 def _unseen(config: "RunConfig") -> dict[str, tuple[tuple[float, float], ...]]:
@@ -172,18 +172,18 @@ def _unseen(config: "RunConfig") -> dict[str, tuple[tuple[float, float], ...]]:
 
 
 def _negotiations(
-    gallery: _Gallery,
+    writer: _FigureWriter,
     traces: dict[str, list[Trace]],
     corridor_sigma_m: tuple[float, float],
     fixed_s: FixedHorizons,
 ) -> Section:
-    exhibits = []
+    items = []
     for setting, group in traces.items():
         episode = _typical_of_all(group)
         drawing = figures.space_time(group, episode, corridor_sigma_m, fixed_s)
         title, reading = caption("space_time", setting=setting_label(setting))
-        exhibits.append(gallery.figure(f"space_time_{setting}", drawing, title, reading))
-    return Section("Negotiations", "", exhibits)
+        items.append(writer.figure(f"space_time_{setting}", drawing, title, reading))
+    return Section("Negotiations", "", items)
 
 
 def _typical_of_all(group: list[Trace]) -> int:
@@ -193,26 +193,24 @@ def _typical_of_all(group: list[Trace]) -> int:
 
 def _animations(
     report: ReportConfig,
-    gallery: _Gallery,
+    writer: _FigureWriter,
     traces: dict[str, list[Trace]],
     scene: Scene,
-    insights: Mapping[str, Mapping[int, Insight]],
+    policy_traces: Mapping[str, Mapping[int, PolicyTrace]],
     fixed_s: FixedHorizons,
 ) -> Section:
-    """insights: of the policy's episodes that are shown alone, by setting and episode."""
-    exhibits = []
+    """policy_traces: of the policy's episodes that are shown alone, by setting and episode."""
+    items = []
     for setting, group in traces.items():
         adaptive = _adaptive(group)
         if report.side_by_side:
             compared = [adaptive, *_named(group, report.side_by_side)]
             name = f"{setting}_side_by_side"
-            exhibits.append(
-                _film(gallery, name, compared, _typical_of_all(group), scene, report.animation_fps, fixed_s)
-            )
+            items.append(_film(writer, name, compared, _typical_of_all(group), scene, report.animation_fps, fixed_s))
         for name, episode in _shown_alone(report, adaptive).items():
-            insight = insights[setting][episode]
-            exhibits.append(_film(gallery, name, [adaptive], episode, scene, report.animation_fps, fixed_s, insight))
-    return Section("Watch it", WATCH, exhibits)
+            policy_trace = policy_traces[setting][episode]
+            items.append(_film(writer, name, [adaptive], episode, scene, report.animation_fps, fixed_s, policy_trace))
+    return Section("Watch it", WATCH, items)
 
 
 def _shown_alone(report: ReportConfig, adaptive: Trace) -> dict[str, int]:
@@ -223,9 +221,9 @@ def _shown_alone(report: ReportConfig, adaptive: Trace) -> dict[str, int]:
     return named if worst in typical or not typical else named | {f"{adaptive.family}_{ADAPTIVE}_worst": worst}
 
 
-def look_into_policy(
+def record_policies(
     config: "RunConfig", run: "TrackedRun", traces: Mapping[str, list[Trace]]
-) -> dict[str, dict[int, Insight]]:
+) -> dict[str, dict[int, PolicyTrace]]:
     """What the policy saw and thought in the episodes that are shown alone, by setting and episode: they are driven
     once more with the horizons of the record."""
     shown = {setting: list(_shown_alone(config.report, _adaptive(group)).values()) for setting, group in traces.items()}
@@ -234,11 +232,11 @@ def look_into_policy(
     log.info("report: looking into the policy")
     game, policy = build(config)
     load_policy(checkpoint_of(config, run), policy, config)
-    insights = {}
+    policy_traces = {}
     for setting, episodes in shown.items():
         adaptive, tasks = _adaptive(traces[setting]), held_out_tasks(config, game, setting)
         which = torch.tensor(episodes, device=tasks.family.device)
-        found = look_into(
+        found = record_policy(
             game,
             policy,
             config.policy.horizons_s,
@@ -247,37 +245,37 @@ def look_into_policy(
             [adaptive.horizon_s[: adaptive.n_steps[episode], episode, EGO] for episode in episodes],
             config.evaluation.reward,
         )
-        insights[setting] = dict(zip(episodes, found, strict=True))
-    return insights
+        policy_traces[setting] = dict(zip(episodes, found, strict=True))
+    return policy_traces
 
 
 def _film(
-    gallery: _Gallery,
+    writer: _FigureWriter,
     name: str,
     traces: list[Trace],
     episode: int,
     scene: Scene,
     fps: int,
     fixed_s: FixedHorizons,
-    insight: Insight | None = None,
-) -> Exhibit:
+    policy_trace: PolicyTrace | None = None,
+) -> FigureItem:
     log.info("report: animation %s", name)
     trace = traces[0]
-    gif = animation.animate(traces, episode, scene, fps, fixed_s, insight)
-    still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, fixed_s, insight)
+    gif = animation.animate(traces, episode, scene, fps, fixed_s, policy_trace)
+    still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, fixed_s, policy_trace)
     title, reading = caption(
-        "film" if insight is None else "film_alone",
+        "film" if policy_trace is None else "film_alone",
         setting=setting_label(trace.family),
         episode=episode,
         planners=", ".join(planner_label(shown.planner, fixed_s) for shown in traces),
         which="the worst" if name.endswith("_worst") else "a typical one",
         style_s=trace.style_horizon_s[episode, NEAREST],
     )
-    return gallery.animation(name, gif, still, title, reading)
+    return writer.animation(name, gif, still, title, reading)
 
 
 def _behaviour(
-    gallery: _Gallery,
+    writer: _FigureWriter,
     traces: dict[str, list[Trace]],
     corridor_length_m: float,
     behaviour_map: Path,
@@ -286,20 +284,20 @@ def _behaviour(
     """With the behaviour map, if its stage has left one."""
     flat = [trace for group in traces.values() for trace in group]
     along = figures.horizons_along(flat, corridor_length_m)
-    exhibits = [
-        gallery.figure("behaviour_index", figures.behaviour(flat, fixed_s), *caption("behaviour_index")),
-        gallery.figure("horizons", figures.horizons(flat), *caption("horizons")),
-        gallery.figure("horizons_along", along, *caption("horizons_along")),
+    items = [
+        writer.figure("behaviour_index", figures.behaviour(flat, fixed_s), *caption("behaviour_index")),
+        writer.figure("horizons", figures.horizons(flat), *caption("horizons")),
+        writer.figure("horizons_along", along, *caption("horizons_along")),
     ]
     if behaviour_map.is_file():
         table = read_csv(behaviour_map, BEHAVIOUR_MAP, BEHAVIOUR_MAP.columns)
-        words = caption("behaviour_map", verdict=map_reading(findings(table)))
-        exhibits.insert(0, gallery.figure("behaviour_map", map_figure(table), *words))
-    return Section("Behaviour", "", exhibits)
+        words = caption("behaviour_map", verdict=map_reading(trends(table)))
+        items.insert(0, writer.figure("behaviour_map", map_figure(table), *words))
+    return Section("Behaviour", "", items)
 
 
 def _training(
-    drawings: _Gallery, films: _Gallery, run: "TrackedRun", unseen_m: Sequence[tuple[float, float]]
+    drawings: _FigureWriter, films: _FigureWriter, run: "TrackedRun", unseen_m: Sequence[tuple[float, float]]
 ) -> Section:
     """The store is given the maps, too, each at the step at which its part of the training begins."""
     if not (run.folder / HISTORY_NAME).is_file():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from negopipe.report.captions import caption
 from negopipe.report.figures import render
-from negopipe.report.page import Exhibit, Section, build_page
+from negopipe.report.page import FigureItem, Section, build_page
 from negopipe.report.provenance import provenance, write_claims
 from negopipe.sweeping.comparison import (
     compare,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 
-def run(config: "RunConfig", run: "TrackedRun") -> None:
+def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Write report.html on the runs that `runs` names into this run's folder; UserError if there is none."""
     found = find_runs(Path(config.outputs).absolute(), str(config.runs))
     by_overrides = group(found)
@@ -39,12 +39,12 @@ def run(config: "RunConfig", run: "TrackedRun") -> None:
     sections = [*([_configs(short)] if list(short) != list(short.values()) else []), _training(groups)]
     tested = [claim for claim in (curriculum_claim(found),) if claim is not None]
     if tested:
-        write_claims(run, tested)
-    page = build_page(title, verdicts, chapters, tested, sections, provenance(config.seed, run))
-    path = run.folder / "report.html"
+        write_claims(tracked, tested)
+    page = build_page(title, verdicts, chapters, tested, sections, provenance(config.seed, tracked))
+    path = tracked.folder / "report.html"
     write_whole(path, page.encode())
-    run.log_artifact(path)
-    run.set_description("\n\n".join(" ".join(lines) for lines in verdicts))
+    tracked.log_artifact(path)
+    tracked.set_description("\n\n".join(" ".join(lines) for lines in verdicts))
     log.info("report: %s", path)
 
 
@@ -59,4 +59,4 @@ def _training(groups: dict[str, list[Path]]) -> Section:
     if histories.empty:
         return Section("Training", "None of the runs was trained.", [])
     drawing = render(learning_curves(histories), "svg")
-    return Section("Training", "", [Exhibit(*caption("learning_curves"), drawing)])
+    return Section("Training", "", [FigureItem(*caption("learning_curves"), drawing)])

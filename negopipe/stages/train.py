@@ -13,13 +13,13 @@ from negopipe.game.environment import NegotiationEnv
 from negopipe.learning.curriculum import Curriculum
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import RunningEpisodes, collect
-from negopipe.report.description import what_it_is
+from negopipe.report.description import run_description
 from negopipe.runtime.build import build, device_of, load_policy, save_policy
-from negopipe.runtime.interruption import AskedToStop
+from negopipe.runtime.interruption import DeferredInterrupt
 from negopipe.runtime.progress import ProgressLine
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import named_tensors, with_tensors
-from negopipe.tensors.prefixes import put_under, take_from
+from negopipe.tensors.prefixes import add_prefix, strip_prefix
 from negopipe.tensors.seeding import generator
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME, HISTORY_NAME, SNAPSHOTS_NAME, TRAINING_EPISODES_NAME
@@ -34,34 +34,34 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 
-def run(config: "RunConfig", run: "TrackedRun") -> None:
+def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Train a policy.
 
     Writes checkpoint.safetensors, history.csv, training_episodes.csv and the `train` part of metrics.json.
     A run that was stopped goes on from its newest snapshot, and ends as if it had never been stopped.
     """
-    run.set_description(what_it_is(config))
-    training = Training(config, run.folder)
-    snapshots = Snapshots(run.folder / SNAPSHOTS_NAME, config.tracking.n_snapshots)
-    training.go_on_from(snapshots)
+    tracked.set_description(run_description(config))
+    training = Training(config, tracked.folder)
+    snapshots = Snapshots(tracked.folder / SNAPSHOTS_NAME, config.tracking.n_snapshots)
+    training.resume(snapshots)
     last_s = time.monotonic()
-    with ProgressLine("train", training.n_total, n_done=training.n_done) as progress, AskedToStop() as asked_to_stop:
+    with ProgressLine("train", training.n_total, n_done=training.n_done) as progress, DeferredInterrupt() as interrupt:
         while training.n_done < training.n_total:
             row = training.iterate()
             if training.not_finite():
-                _stop_at_last_good(config, run, training)
+                _stop_at_last_good(config, tracked, training)
             progress.advance(training.curve.text(row))
             is_due = time.monotonic() - last_s >= config.tracking.snapshot_period_s
             with training.curve.tracking():
-                run.log_metrics(training.curve.scalars(row), step=row["decisions"])
+                tracked.log_metrics(training.curve.scalars(row), step=row["decisions"])
                 if training.is_at_stage_end:
-                    save_stage(config, run, training)
-                if is_due or asked_to_stop():
-                    run.sync()  # what the snapshot stands for is not logged again
+                    save_stage(config, tracked, training)
+                if is_due or interrupt():
+                    tracked.sync()  # what the snapshot stands for is not logged again
                     training.save_to(snapshots)
                     last_s = time.monotonic()
-            asked_to_stop.obey()
-    run.update_metrics_json({"train": training.curve.summary()})
+            interrupt.raise_if_requested()
+    tracked.update_metrics_json({"train": training.curve.summary()})
     snapshots.remove()
 
 
@@ -122,28 +122,28 @@ class Training:
     def save_to(self, snapshots: Snapshots) -> None:
         """Write down all that the next iteration depends on."""
         state = (
-            put_under("policy", self.policy.state_dict())
-            | put_under("learner", self.learner.state_dict())
-            | put_under("env", self.env.state_dict())
-            | put_under("running", named_tensors(self.running))
-            | put_under("episodes", self.curve.episodes)
+            add_prefix("policy", self.policy.state_dict())
+            | add_prefix("learner", self.learner.state_dict())
+            | add_prefix("env", self.env.state_dict())
+            | add_prefix("running", named_tensors(self.running))
+            | add_prefix("episodes", self.curve.episodes)
             | {"actions": self.actions.get_state()}
         )
         progress = {"curve": self.curve.state_dict(), "curriculum": self.curriculum.state_dict()}
         snapshots.save(self.n_done, state, progress)
 
-    def go_on_from(self, snapshots: Snapshots) -> None:
+    def resume(self, snapshots: Snapshots) -> None:
         """Put the newest snapshot back, if there is one."""
         newest = snapshots.newest()
         if newest is None:
             return
         state, progress = newest
-        self.policy.load_state_dict(take_from("policy", state))
-        self.learner.load_state_dict(take_from("learner", state))
-        self.env.load_state_dict(take_from("env", state))
-        self.running = with_tensors(self.running, take_from("running", state))
+        self.policy.load_state_dict(strip_prefix("policy", state))
+        self.learner.load_state_dict(strip_prefix("learner", state))
+        self.env.load_state_dict(strip_prefix("env", state))
+        self.running = with_tensors(self.running, strip_prefix("running", state))
         self.actions.set_state(state["actions"])
-        self.curve.load_state_dict(progress["curve"], take_from("episodes", state))
+        self.curve.load_state_dict(progress["curve"], strip_prefix("episodes", state))
         self.curriculum.load_state_dict(progress["curriculum"])
         log.info(f"train      goes on after {self.n_done} of {self.n_total} iterations")
 

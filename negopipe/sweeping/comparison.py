@@ -25,7 +25,7 @@ from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.run_folder import CONFIG_NAME, HISTORY_NAME
 from negopipe.training.learning_curve import HISTORY
 
-NOT_COMPARED = ("evaluation.rivals", "evaluation/rival", "evaluation.oracle")
+NOT_COMPARED = ("evaluation.baselines", "evaluation/baseline", "evaluation.oracle")
 """Beginnings of keys and overrides that change nothing about a policy."""
 LONGEST_NAME = 28
 EVEN = 0.5

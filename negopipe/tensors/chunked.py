@@ -59,7 +59,7 @@ class Layout:
         return map_tensors(lambda _: next(leaves), self._empty)
 
 
-class InChunks:
+class ChunkedFunction:
     """`fn`, called on `size` worlds at a time.
 
     fn: maps tensors, tensor dataclasses or tuples of them to such; axis 0 of every tensor is the worlds

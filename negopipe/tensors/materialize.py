@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 
-def stored(*values: Tensor) -> tuple[Tensor, ...]:
+def materialize(*values: Tensor) -> tuple[Tensor, ...]:
     """The same values, computed once: a compiler would work them out anew in every loop that reads them.
 
     It always stores what comes out of a matrix product, and a product with the identity changes nothing.

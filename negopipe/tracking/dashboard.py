@@ -10,7 +10,7 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
-from negopipe.config.messages import shown
+from negopipe.config.messages import abbreviate
 from negopipe.errors import UserError
 from negopipe.tracking.database import follow_move, is_served, sqlite_file, store_lock, without_password
 from negopipe.tracking.sqlite import address, open_read_only
@@ -96,7 +96,7 @@ def _store(place: str) -> Path | str:
 
 def _port(text: str) -> int:
     if not (text.isdecimal() and 0 < int(text) < 2**16):
-        raise UserError(f"the port must be a number from 1 to 65535, got {shown(text)}")
+        raise UserError(f"the port must be a number from 1 to 65535, got {abbreviate(text)}")
     return int(text)
 
 

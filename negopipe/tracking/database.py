@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 from filelock import FileLock
 
-from negopipe.config.messages import shown
+from negopipe.config.messages import abbreviate
 from negopipe.environment import default, variable
 from negopipe.errors import UserError
 from negopipe.tracking.sqlite import address, check_path, file_of, is_address, open_read_only
@@ -55,7 +55,7 @@ def sqlite_file(outputs: Path, uri: str | None) -> Path | None:
     database = file_of(uri, _URI_KEY)
     check_path(database, _URI_KEY)
     if not database.parent.is_dir():
-        raise UserError(f"{_URI_KEY} must name a file in an existing folder, got {shown(uri)}")
+        raise UserError(f"{_URI_KEY} must name a file in an existing folder, got {abbreviate(uri)}")
     return database
 
 
@@ -125,7 +125,9 @@ def _be_impatient() -> None:
     for name, value in _IMPATIENT.items():
         default(name, value)
         if not (variable(name) or "").isdecimal():
-            raise UserError(f"the environment variable {name} must be a whole number, got {shown(os.environ[name])}")
+            raise UserError(
+                f"the environment variable {name} must be a whole number, got {abbreviate(os.environ[name])}"
+            )
     from mlflow.store.db import utils
 
     utils.MAX_RETRY_COUNT = 1  # there is no setting; with 10 it tries for 100 s
@@ -143,7 +145,7 @@ def unreachable() -> tuple[type[Exception], ...]:
 
 def without_password(uri: str) -> str:
     """An address as a line may show it."""
-    return shown(re.sub(r"(://[^/@:]*):[^/@]*@", r"\1:***@", uri))
+    return abbreviate(re.sub(r"(://[^/@:]*):[^/@]*@", r"\1:***@", uri))
 
 
 def first_line(error: Exception) -> str:
@@ -178,9 +180,7 @@ def _check(database: Path) -> None:
     except sqlite3.DatabaseError as error:
         verdict = str(error)
     if verdict != "ok":
-        mend = (
-            "move it away, then python -m negopipe.tracking.sync.__main__ <outputs> makes it anew from the run folders"
-        )
+        mend = "move it away, then python -m negopipe.tracking.sync <outputs> makes it anew from the run folders"
         raise UserError(f"the store {database} is damaged ({verdict.splitlines()[-1]}): {mend}")
 
 

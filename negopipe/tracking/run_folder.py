@@ -28,7 +28,7 @@ CONFIG_NAME = "config.yaml"
 LOCK_NAME = ".lock"
 
 
-def hold(folder: Path) -> FileLock:
+def lock(folder: Path) -> FileLock:
     """Take the folder, made if need be; UserError if another process has it."""
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / LOCK_NAME, blocking=False)
@@ -40,7 +40,7 @@ def hold(folder: Path) -> FileLock:
     return lock
 
 
-def set_aside(folder: Path, lock: FileLock) -> bool:
+def archive(folder: Path, lock: FileLock) -> bool:
     """Make room for another run: what is in the folder goes to `<folder>.old<n>`; False if there is nothing."""
     if {path.name for path in folder.iterdir()} <= {LOCK_NAME}:
         return False
@@ -52,7 +52,7 @@ def set_aside(folder: Path, lock: FileLock) -> bool:
     return True
 
 
-def keep(path: Path, kept: Path) -> None:
+def link_or_copy(path: Path, kept: Path) -> None:
     """A second name for a file that is replaced as a whole when it changes, or else a copy."""
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.unlink(missing_ok=True)

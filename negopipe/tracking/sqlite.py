@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from urllib.parse import unquote
 
-from negopipe.config.messages import shown
+from negopipe.config.messages import abbreviate
 from negopipe.environment import expanded
 from negopipe.errors import UserError
 
@@ -22,7 +22,7 @@ def check_path(database: Path, key: str) -> None:
     n_bytes = len(os.fsencode(os.path.realpath(database)))
     if n_bytes > LONGEST_PATH:
         allowed = f"a database file of at most {LONGEST_PATH} bytes, as SQLite takes it"
-        raise UserError(f"{key} must lead to {allowed}, got {n_bytes}: {shown(str(database))}")
+        raise UserError(f"{key} must lead to {allowed}, got {n_bytes}: {abbreviate(str(database))}")
 
 
 def address(database: Path, key: str) -> str:
@@ -35,7 +35,7 @@ def address(database: Path, key: str) -> str:
     check_path(database, key)
     text = URL.create(_DRIVER, database=str(database.absolute())).render_as_string(hide_password=False)
     if make_url(text).database != str(database.absolute()):  # before SQLAlchemy 2.1
-        raise UserError(f"{key} must have no ? and % with this version of SQLAlchemy, got {shown(str(database))}")
+        raise UserError(f"{key} must have no ? and % with this version of SQLAlchemy, got {abbreviate(str(database))}")
     return text
 
 
@@ -49,13 +49,13 @@ def file_of(uri: str, key: str) -> Path:
     rest = next((uri.removeprefix(scheme) for scheme in _SCHEMES if uri.startswith(scheme)), "")
     if "?" in rest or not rest.strip("/") or rest.startswith((":memory:", "file:")):
         allowed = "sqlite:///<file>, in it ? written as %3F and % as %25"
-        raise UserError(f"{key} must be {allowed}, got {shown(uri)}")
+        raise UserError(f"{key} must be {allowed}, got {abbreviate(uri)}")
     try:
         path = expanded(unquote(rest))
     except ValueError as error:
-        raise UserError(f"{key} {error}, got {shown(uri)}") from error
+        raise UserError(f"{key} {error}, got {abbreviate(uri)}") from error
     if not path.isprintable():
-        raise UserError(f"{key} must be a path of printable characters, got {shown(uri)}")
+        raise UserError(f"{key} must be a path of printable characters, got {abbreviate(uri)}")
     return Path(path).absolute()
 
 

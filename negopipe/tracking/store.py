@@ -32,7 +32,15 @@ from negopipe.tracking.database import (
 from negopipe.tracking.metrics_file import merge_into
 from negopipe.tracking.names import clean_name, cleaned, flatten
 from negopipe.tracking.record import OVERRIDES, RunRecord, as_command, read_record, write_record
-from negopipe.tracking.run_folder import CHECKPOINTS_NAME, CONFIG_NAME, METRICS_NAME, TABLES_NAME, hold, keep, set_aside
+from negopipe.tracking.run_folder import (
+    CHECKPOINTS_NAME,
+    CONFIG_NAME,
+    METRICS_NAME,
+    TABLES_NAME,
+    archive,
+    link_or_copy,
+    lock,
+)
 from negopipe.tracking.sync.dead_runs import close_dead_runs, lock_id, process_tags
 from negopipe.tracking.sync.delivery import Delivery
 from negopipe.tracking.sync.journal import Journal
@@ -102,10 +110,10 @@ def open_run(
     sqlite_file(outputs, uri)
     with store_lock(outputs):  # folders change hands only here, so looking for dead runs disturbs nobody
         follow_move(outputs, uri)
-        lock = hold(folder)
+        held = lock(folder)
         record = None if is_fresh else _continued(read_record(folder), accepted)
-        if record is None and set_aside(folder, lock):
-            lock = hold(folder)
+        if record is None and archive(folder, held):
+            held = lock(folder)
     try:
         if record is None:
             record = RunRecord(uuid.uuid4().hex, source)
@@ -115,7 +123,7 @@ def open_run(
         with _final_status(run):
             yield run
     finally:
-        lock.release()
+        held.release()
 
 
 def find_store(config: StoreConfig) -> "MlflowClient | None":
@@ -257,7 +265,7 @@ class TrackedRun:
         so that the store can be given it at any time.
         """
         kept = self.folder / CHECKPOINTS_NAME / f"step_{step}" / path.name
-        keep(path, kept)
+        link_or_copy(path, kept)
         values = cleaned({key: float(value) for key, value in metrics.items()})
         name = self._tracking.registered_model if is_final else None
         place = str(kept.relative_to(self.folder))
@@ -326,7 +334,7 @@ class TrackedRun:
             self._next_try_s = 0.0
             self.deliver()
         if not self._delivery.is_complete:
-            deliver = f"python -m negopipe.tracking.sync.__main__ {shlex.quote(str(self._outputs))}"
+            deliver = f"python -m negopipe.tracking.sync {shlex.quote(str(self._outputs))}"
             later = f"the same command sends it, or {deliver}"
             log.warning(f"store      has not been given all of {self.folder.name}: {later}")
 

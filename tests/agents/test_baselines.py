@@ -1,6 +1,7 @@
 """The planners that the policy is compared with: each does what its name says, seeing what its vehicle sees."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -10,7 +11,7 @@ import torch
 import yaml
 from games import draw_tasks
 
-from negopipe.agents.baseline import Rival
+from negopipe.agents.baseline import Baseline
 from negopipe.agents.baselines import CONFIGS, cautious, level_k, random_horizon
 from negopipe.agents.encounter import Encounter, encounter
 from negopipe.config.root import RunConfig
@@ -23,14 +24,14 @@ from negopipe.simulation.state import Task
 
 TOGETHER = {"paper", "all"}
 """Options that stand for several."""
-FOLDER = Path(__file__).parents[2] / "conf/evaluation/rival"
+FOLDER = Path(__file__).parents[2] / "conf/evaluation/baseline"
 FILES = sorted(path for path in FOLDER.glob("*.yaml") if path.stem not in TOGETHER)
 NAMES = [path.stem for path in FILES]
 
 
 @pytest.fixture(scope="module")
-def rivals() -> dict[str, Rival]:
-    return compose_config([f"evaluation/rival=[{','.join(NAMES)}]", "report.side_by_side=[]"]).evaluation.rivals
+def baselines() -> dict[str, Baseline]:
+    return compose_config([f"evaluation/baseline=[{','.join(NAMES)}]", "report.side_by_side=[]"]).evaluation.baselines
 
 
 @pytest.fixture(scope="module")
@@ -46,19 +47,18 @@ def task_with(config: RunConfig, distance_m: float, style_s: float) -> Task:
     return replace(task, start_distance=distance, style_horizon=style)
 
 
-def drive(config: RunConfig, game: Game, rival: Rival, task: Task, n_worlds: int = 64) -> Trace:
-    return drive_episodes(
-        game, lambda chance: rival.driver(game, chance), task, n_worlds, config.evaluation.reward, ("rival", "x"),
-        rival.is_in_step,
-    )  # fmt: skip
+def drive(config: RunConfig, game: Game, baseline: Baseline, task: Task, n_worlds: int = 64) -> Trace:
+    names = ("baseline", "x")
+    ego, paid = partial(baseline.driver, game), config.evaluation.reward
+    return drive_episodes(game, ego, task, n_worlds, paid, names, baseline.is_lockstep)
 
 
 def kind_of(config: type) -> str:
     return get_args(config.__dataclass_fields__["kind"].type)[0]  # type: ignore[attr-defined]
 
 
-def test_every_file_chooses_a_rival_of_its_name(rivals: dict[str, Rival]) -> None:
-    assert list(rivals) == NAMES
+def test_every_file_chooses_a_baseline_of_its_name(baselines: dict[str, Baseline]) -> None:
+    assert list(baselines) == NAMES
     kinds = {yaml.safe_load(path.read_text())["kind"] for path in FILES}
     assert kinds == {kind_of(config) for config in CONFIGS}
 
@@ -76,21 +76,27 @@ def test_every_file_chooses_a_rival_of_its_name(rivals: dict[str, Rival]) -> Non
     ],
 )
 def test_who_gets_through(
-    config: RunConfig, game: Game, rivals: dict[str, Rival], name: str, distance_m: float, style_s: float, outcome: str
+    config: RunConfig,
+    game: Game,
+    baselines: dict[str, Baseline],
+    name: str,
+    distance_m: float,
+    style_s: float,
+    outcome: str,
 ) -> None:
-    trace = drive(config, game, rivals[name], task_with(config, distance_m, style_s))
+    trace = drive(config, game, baselines[name], task_with(config, distance_m, style_s))
     assert OUTCOMES[int(trace.outcome[0])] == outcome
 
 
 @pytest.mark.parametrize("overrides", [["scenario=one_sided"], ["perception.dropout_probability=0.02"]])
 def test_cautious_waits_where_the_other_can_pass_and_goes_on_waiting(
-    rivals: dict[str, Rival], overrides: list[str]
+    baselines: dict[str, Baseline], overrides: list[str]
 ) -> None:
     # without a waiting place made for the street, and with one missed sighting as a reason to go, about a third crash
     config = compose_config(overrides)
     task = draw_tasks(config, 16)
     blind = replace(task, style_horizon=torch.zeros_like(task.style_horizon))
-    trace = drive(config, build_game(config), rivals["cautious"], blind)
+    trace = drive(config, build_game(config), baselines["cautious"], blind)
     assert [OUTCOMES[outcome] for outcome in trace.outcome] == ["success"] * 16
 
 
@@ -107,49 +113,53 @@ def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: f
 def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:
     """Whatever it is called."""
     short = ["kind=fixed", "n_episodes=null", "horizon_s=1.5"]
-    overrides = [f"+evaluation.rivals.random_short.{value}" for value in short]
+    overrides = [f"+evaluation.baselines.random_short.{value}" for value in short]
     evaluation = compose_config(
-        ["evaluation/rival=[fixed_6,cautious]", "report.side_by_side=[]", *overrides]
+        ["evaluation/baseline=[fixed_6,cautious]", "report.side_by_side=[]", *overrides]
     ).evaluation
-    assert list(evaluation.rivals) == ["fixed_6", "cautious", "random_short"]
+    assert list(evaluation.baselines) == ["fixed_6", "cautious", "random_short"]
     assert evaluation.fixed_horizons_s == {"fixed_6": 6.0, "random_short": 1.5}
 
 
-def test_only_horizons_that_a_rival_names_are_used(config: RunConfig, brief: Game, rivals: dict[str, Rival]) -> None:
+def test_only_horizons_that_a_baseline_names_are_used(
+    config: RunConfig, brief: Game, baselines: dict[str, Baseline]
+) -> None:
     task = draw_tasks(config, 2, seed=3)
-    short = replace(rivals["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]
-    for rival in (rivals | {"level_k": short}).values():
-        horizon = drive(config, brief, rival, task).horizon_s[:, :, 0]
-        assert set(horizon[~np.isnan(horizon)].tolist()) <= set(rival.horizons_s)
+    short = replace(baselines["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]
+    for baseline in (baselines | {"level_k": short}).values():
+        horizon = drive(config, brief, baseline, task).horizon_s[:, :, 0]
+        assert set(horizon[~np.isnan(horizon)].tolist()) <= set(baseline.horizons_s)
 
 
-def test_random_horizons_depend_on_the_episode_alone(config: RunConfig, brief: Game, rivals: dict[str, Rival]) -> None:
+def test_random_horizons_depend_on_the_episode_alone(
+    config: RunConfig, brief: Game, baselines: dict[str, Baseline]
+) -> None:
     task = draw_tasks(config, 3, seed=5)
-    together, alone = (drive(config, brief, rivals["random"], task, n).horizon_s[:, :, 0] for n in (3, 1))
+    together, alone = (drive(config, brief, baselines["random"], task, n).horizon_s[:, :, 0] for n in (3, 1))
     assert np.array_equal(together, alone, equal_nan=True)
     assert not np.array_equal(together[:, 0], together[:, 1], equal_nan=True)
 
 
-def sequence(game: Game, rival: random_horizon.Config, n: int) -> torch.Tensor:
+def sequence(game: Game, baseline: random_horizon.Config, n: int) -> torch.Tensor:
     """[T, n] the horizons that are drawn."""
-    choose = rival.driver(game, torch.arange(n)).choose_horizon
+    choose = baseline.driver(game, torch.arange(n)).choose_horizon
     nothing: Any = None
     return torch.stack([choose(nothing)[:, 0] for _ in range(game.simulator.scenario.episode_steps)])
 
 
-def test_random_horizons_are_equally_likely_and_kept(game: Game, rivals: dict[str, Rival]) -> None:
-    rival = rivals["random"]
-    assert isinstance(rival, random_horizon.Config)
-    drawn = sequence(game, rival, 400)
-    n_kept = round(rival.keep_s / game.simulator.scenario.dt_s)
+def test_random_horizons_are_equally_likely_and_kept(game: Game, baselines: dict[str, Baseline]) -> None:
+    baseline = baselines["random"]
+    assert isinstance(baseline, random_horizon.Config)
+    drawn = sequence(game, baseline, 400)
+    n_kept = round(baseline.keep_s / game.simulator.scenario.dt_s)
     whole = drawn[: len(drawn) // n_kept * n_kept].unflatten(0, (-1, n_kept))
     assert (whole == whole[:, :1]).all()
     first = whole[:, 0]
-    for horizon in rival.horizons:
-        assert (first == horizon).float().mean().item() == pytest.approx(1 / len(rival.horizons), abs=0.02)
+    for horizon in baseline.horizons:
+        assert (first == horizon).float().mean().item() == pytest.approx(1 / len(baseline.horizons), abs=0.02)
     again = (first[1:] == first[:-1]).float().mean().item()
-    assert again == pytest.approx(1 / len(rival.horizons), abs=0.02)
-    longer = sequence(game, replace(rival, keep_s=2 * rival.keep_s), 400)
+    assert again == pytest.approx(1 / len(baseline.horizons), abs=0.02)
+    longer = sequence(game, replace(baseline, keep_s=2 * baseline.keep_s), 400)
     assert not torch.equal(longer, drawn)
 
 
@@ -172,8 +182,8 @@ def test_an_encounter_by_hand(config: RunConfig, game: Game) -> None:
     assert not encounter(game.simulator.road, 4.5, behind).is_oncoming.any()
 
 
-def test_the_intelligent_driver_model_by_hand(rivals: dict[str, Rival]) -> None:
-    config = rivals["cautious"]
+def test_the_intelligent_driver_model_by_hand(baselines: dict[str, Baseline]) -> None:
+    config = baselines["cautious"]
     assert isinstance(config, cautious.Config)
     free = cautious.Hindrance(torch.tensor(1e9), torch.tensor(0.0))
 
@@ -203,23 +213,23 @@ def test_time_to_a_place() -> None:
     ],
 )  # fmt: skip
 def test_every_value_of_the_cautious_driver_acts(
-    config: RunConfig, brief: Game, rivals: dict[str, Rival], change: dict[str, float]
+    config: RunConfig, brief: Game, baselines: dict[str, Baseline], change: dict[str, float]
 ) -> None:
     task = task_with(config, 13.0, 2.0)
-    usual = rivals["cautious"]
+    usual = baselines["cautious"]
     assert isinstance(usual, cautious.Config)
-    first, other = (drive(config, brief, rival, task).progress_m for rival in (usual, replace(usual, **change)))
+    first, other = (drive(config, brief, baseline, task).progress_m for baseline in (usual, replace(usual, **change)))
     assert not np.array_equal(first, other)
 
 
 @pytest.mark.parametrize(("other_m", "margin_s", "gap_m"), [(36.0, 1.0, 3.0), (36.0, 0.0, cautious.FREE_M)])
 def test_it_waits_for_who_could_be_there_too_soon(
-    game: Game, rivals: dict[str, Rival], other_m: float, margin_s: float, gap_m: float
+    game: Game, baselines: dict[str, Baseline], other_m: float, margin_s: float, gap_m: float
 ) -> None:
     """From s = -10 m at 5 m/s it is out of the corridor (12 m, half a car) in 24.25 / 5.5 = 4.4 s, the other in it in
     (36 - 2.25) / 7.5 = 4.5 s.
     """
-    usual = rivals["cautious"]
+    usual = baselines["cautious"]
     assert isinstance(usual, cautious.Config)
     one = torch.ones(1, 1)
     own = RouteState(-10 * one, 5 * one, 0 * one, 0 * one, 0 * one, 0 * one)
@@ -230,8 +240,8 @@ def test_it_waits_for_who_could_be_there_too_soon(
     assert line.closing_mps.item() == 5.0
 
 
-def level_k_at(game: Game, rivals: dict[str, Rival], **changes: float) -> level_k.LevelK:
-    config = rivals["level_k"]
+def level_k_at(game: Game, baselines: dict[str, Baseline], **changes: float) -> level_k.LevelK:
+    config = baselines["level_k"]
     assert isinstance(config, level_k.Config)
     return level_k.LevelK(game, replace(config, **changes))  # type: ignore[arg-type]
 
@@ -253,7 +263,7 @@ def test_best_responses_by_hand() -> None:
 
 @pytest.mark.parametrize("style_s", [2.0, 4.0])
 def test_the_belief_finds_the_style_from_the_motion(
-    config: RunConfig, game: Game, rivals: dict[str, Rival], style_s: float
+    config: RunConfig, game: Game, baselines: dict[str, Baseline], style_s: float
 ) -> None:
     world = game.simulator.reset(task_with(config, 17.5, style_s))
     n = {2.0: 15, 4.0: 10}[style_s]  # then its prediction has met the ego for some steps
@@ -262,45 +272,45 @@ def test_the_belief_finds_the_style_from_the_motion(
         horizon[:, 0] = 0.0
         world, _ = game.drive(world, horizon)
     perception = game.perceive(world).of(0)
-    chooser = level_k_at(game, rivals)
+    chooser = level_k_at(game, baselines)
     belief = chooser.belief(perception, n)[0]
     assert chooser.horizons[belief.argmax()].item() == style_s
     assert belief.max() > 0.9
     assert belief.sum().item() == pytest.approx(1.0)
-    vague = level_k_at(game, rivals, speed_std_mps=10.0).belief(perception, n)[0]
+    vague = level_k_at(game, baselines, speed_std_mps=10.0).belief(perception, n)[0]
     assert vague.max() < 0.3
-    shorter = level_k_at(game, rivals, lookback_s=0.2).belief(perception, n)[0]
+    shorter = level_k_at(game, baselines, lookback_s=0.2).belief(perception, n)[0]
     assert not torch.equal(shorter, belief)
     assert (chooser.belief(perception, 3) == 0.25).all()  # too early to tell
 
 
-def test_payoffs_count_metres_and_crashes(config: RunConfig, game: Game, rivals: dict[str, Rival]) -> None:
+def test_payoffs_count_metres_and_crashes(config: RunConfig, game: Game, baselines: dict[str, Baseline]) -> None:
     perception = game.perceive(game.simulator.reset(task_with(config, 13.0, 2.0))).of(0)
-    own, other = level_k_at(game, rivals).payoffs(perception)
-    dear, _ = level_k_at(game, rivals, collision_m=500.0).payoffs(perception)
+    own, other = level_k_at(game, baselines).payoffs(perception)
+    dear, _ = level_k_at(game, baselines, collision_m=500.0).payoffs(perception)
     is_crash = dear < own
     assert is_crash[0, 0, 0]  # both ignore each other
     assert not is_crash[0, 3].any()
     assert (own[is_crash] - dear[is_crash]).tolist() == pytest.approx([400.0] * int(is_crash.sum()))
-    selfish, its = level_k_at(game, rivals, courtesy=0.0).payoffs(perception)
+    selfish, its = level_k_at(game, baselines, courtesy=0.0).payoffs(perception)
     assert own[0, 3].tolist() == pytest.approx((selfish + its)[0, 3].tolist(), abs=1e-3)
     assert torch.allclose(own, other, atol=1e-3)  # with courtesy 1 both want the same
     whole_m = config.scenario.road.corridor_length_m + config.scenario.road.target_distance_m + 13.35
     assert selfish.max() <= whole_m + 1e-3
-    sooner, _ = level_k_at(game, rivals, lookahead_s=2.0).payoffs(perception)
+    sooner, _ = level_k_at(game, baselines, lookahead_s=2.0).payoffs(perception)
     assert (sooner[0, 3] < own[0, 3]).all()
 
 
-def test_who_is_not_seen_is_nobody(config: RunConfig, game: Game, rivals: dict[str, Rival]) -> None:
+def test_who_is_not_seen_is_nobody(config: RunConfig, game: Game, baselines: dict[str, Baseline]) -> None:
     perception = game.perceive(game.simulator.reset(task_with(config, 13.0, 2.0))).of(0)
     blind = replace(perception, is_seen=torch.zeros_like(perception.is_seen))
-    own, _ = level_k_at(game, rivals, courtesy=0.0, lookahead_s=5.0).payoffs(blind)
+    own, _ = level_k_at(game, baselines, courtesy=0.0, lookahead_s=5.0).payoffs(blind)
     assert own.min() > 20
     assert own.max() - own.min() < 1e-3
 
 
-def test_a_choice_is_kept(config: RunConfig, game: Game, rivals: dict[str, Rival], monkeypatch: Any) -> None:
-    chooser, n_games = level_k_at(game, rivals, keep_s=0.6), []
+def test_a_choice_is_kept(config: RunConfig, game: Game, baselines: dict[str, Baseline], monkeypatch: Any) -> None:
+    chooser, n_games = level_k_at(game, baselines, keep_s=0.6), []
     no_payoff = torch.zeros(1, 4, 4)
     monkeypatch.setattr(chooser, "payoffs", lambda perception: n_games.append(1) or (no_payoff, no_payoff))
     perception = game.perceive(game.simulator.reset(task_with(config, 13.0, 2.0))).of(0)

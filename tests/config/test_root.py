@@ -39,7 +39,7 @@ def job_commands() -> list[list[str]]:
 @pytest.mark.parametrize("option", OPTIONS, ids=str)
 def test_every_option_composes_and_builds(option: Path) -> None:
     plus = "+" if option.parts[0] == "experiment" else ""
-    alone = ["report.side_by_side=[]"] if option.parent.name == "rival" else []
+    alone = ["report.side_by_side=[]"] if option.parent.name == "baseline" else []
     build(f"{plus}{option.parent}={option.name}", *alone)
 
 
@@ -111,8 +111,8 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         ),
         (["seed=${nothing}"], "seed cannot be resolved: Interpolation key 'nothing' not found"),
         (
-            ["planner.prediction.model=magic"],
-            "planner.prediction.model must be one of constant_velocity, constant_accel",
+            ["planner.prediction.kind=magic"],
+            "planner.prediction.kind must be one of constant_velocity, constant_accel",
         ),
         (
             ["planner/prediction=constant_acceleration", "planner.prediction.hold_s=0"],
@@ -121,12 +121,12 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["+planner.prediction.hold_s=1.0"], "planner.prediction.hold_s is not a known key, allowed: "),
         (["planner.horizon_s=3.0"], "policy.horizons_s must be at most planner.horizon_s = 3.0, got 6.0"),
         (
-            ["+evaluation.rivals.adaptive={kind: fixed, horizon_s: 0.0, n_episodes: null}"],
-            "evaluation.rivals must not name one adaptive, which is the policy",
+            ["+evaluation.baselines.adaptive={kind: fixed, horizon_s: 0.0, n_episodes: null}"],
+            "evaluation.baselines must not name one adaptive, which is the policy",
         ),
         (
-            ["evaluation.rivals.fixed_6.horizon_s=8.0"],
-            "evaluation.rivals.fixed_6 must be at most planner.horizon_s = 6.0, got 8.0",
+            ["evaluation.baselines.fixed_6.horizon_s=8.0"],
+            "evaluation.baselines.fixed_6 must be at most planner.horizon_s = 6.0, got 8.0",
         ),
         (
             ["curriculum=three_stages", "curriculum.stages.0.families.push.style_horizon_s=[2.0,7.0]"],
@@ -140,8 +140,8 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["dynamics=bicycle", "dynamics.wheelbase_m=0"], "dynamics.wheelbase_m must be greater than 0, got 0"),
         (["dynamics=bicycle", "~dynamics.wheelbase_m"], "dynamics.wheelbase_m is missing"),
         (["dynamics=bicycle", "+dynamics.wheelbas_m=1"], "dynamics.wheelbas_m is not a known key, did you mean wheelb"),
-        (["dynamics.model=magic"], "dynamics.model must be one of perfect, bicycle, got magic"),
-        (["~dynamics.model"], "dynamics.model is missing"),
+        (["dynamics.kind=magic"], "dynamics.kind must be one of perfect, bicycle, got magic"),
+        (["~dynamics.kind"], "dynamics.kind is missing"),
         (
             ["dynamics=bicycle", "dynamics.actuation_delay_s=0.1"],
             "dynamics.actuation_delay_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
@@ -149,14 +149,17 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["policy.horizons_s=[0.1,2.0]"], "policy.horizons_s must be a multiple of scenario.dt_s = 0.2, got 0.1"),
         (["policy.horizons_s=[1e-9,2.0]"], "policy.horizons_s must be a multiple of scenario.dt_s = 0.2, got 1e-09"),
         (["planner.horizon_s=6.5"], "planner.horizon_s must be a multiple of scenario.dt_s = 0.2, got 6.5"),
-        (["evaluation.rivals.fixed_2.horizon_s=2.1"], "evaluation.rivals.fixed_2 must be a multiple of scenario.dt_s"),
         (
-            ["evaluation/rival=random", "evaluation.rivals.random.keep_s=0.1", "report.side_by_side=[]"],
-            "evaluation.rivals.random.keep_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+            ["evaluation.baselines.fixed_2.horizon_s=2.1"],
+            "evaluation.baselines.fixed_2 must be a multiple of scenario.dt_s",
         ),
         (
-            ["evaluation/rival=level_k", "evaluation.rivals.level_k.lookahead_s=0.5", "report.side_by_side=[]"],
-            "evaluation.rivals.level_k.lookahead_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
+            ["evaluation/baseline=random", "evaluation.baselines.random.keep_s=0.1", "report.side_by_side=[]"],
+            "evaluation.baselines.random.keep_s must be a multiple of scenario.dt_s = 0.2, got 0.1",
+        ),
+        (
+            ["evaluation/baseline=level_k", "evaluation.baselines.level_k.lookahead_s=0.5", "report.side_by_side=[]"],
+            "evaluation.baselines.level_k.lookahead_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
         ),
         (
             ["scenario.families.push.style_horizon_s=[0.1]"],
@@ -264,8 +267,8 @@ def test_the_config_can_be_read_back_from_its_mapping() -> None:
     assert load(OmegaConf.create(as_mapping(config))) == config
 
 
-def test_all_rivals_are_all_there_are() -> None:
-    folder = CONF / "evaluation" / "rival"
+def test_all_baselines_are_all_there_are() -> None:
+    folder = CONF / "evaluation" / "baseline"
     single = {path.stem for path in folder.glob("*.yaml")} - {"all", "paper"}
-    assert set(compose_config(["evaluation/rival=all"]).evaluation.rivals) == single
-    assert list(compose_config().evaluation.rivals) == ["fixed_0", "fixed_2", "fixed_4", "fixed_6"]
+    assert set(compose_config(["evaluation/baseline=all"]).evaluation.baselines) == single
+    assert list(compose_config().evaluation.baselines) == ["fixed_0", "fixed_2", "fixed_4", "fixed_6"]

@@ -93,19 +93,19 @@ def test_outcomes_do_not_depend_on_batch_size_or_order(config: RunConfig, game: 
 @pytest.mark.skipif(not has_compiler(), reason="no C++ compiler")
 @pytest.mark.parametrize("planner", ["adaptive", "fixed_6", "random", "give_way", "cautious", "level_k"])
 def test_compiled_not_a_bit_depends_on_batch_size_or_order(config: RunConfig, compiled: Game, planner: str) -> None:
-    rival = compose_config(["evaluation/rival=all"]).evaluation.rivals.get(planner)
+    baseline = compose_config(["evaluation/baseline=all"]).evaluation.baselines.get(planner)
     policy = grid_actor_critic(
         config.policy, compiled.observation_shape, torch.device("cpu"), torch.Generator().manual_seed(0)
     )
-    make_ego, is_in_step = by_horizon(compiled, adaptive_planner(policy, compiled, config.policy.horizons_s)), False
-    if rival is not None:
-        make_ego, is_in_step = partial(rival.driver, compiled), rival.is_in_step
+    make_ego, is_lockstep = by_horizon(compiled, adaptive_planner(policy, compiled, config.policy.horizons_s)), False
+    if baseline is not None:
+        make_ego, is_lockstep = partial(baseline.driver, compiled), baseline.is_lockstep
     n = 8 if planner == "level_k" else 100
     tasks, order = draw_tasks(config, n, seed=4), torch.randperm(n, generator=torch.Generator().manual_seed(1))
     in_other_order = map_tensors(lambda field: field[order], tasks)
     names, reward = (planner, "x"), config.evaluation.reward
-    one_batch = drive_episodes(compiled, make_ego, tasks, n, reward, names, is_in_step)
-    in_parts = drive_episodes(compiled, make_ego, in_other_order, 7, reward, names, is_in_step)
+    one_batch = drive_episodes(compiled, make_ego, tasks, n, reward, names, is_lockstep)
+    in_parts = drive_episodes(compiled, make_ego, in_other_order, 7, reward, names, is_lockstep)
     for name, axis in EPISODE_AXIS.items():
         a, b = np.take(getattr(one_batch, name), order.numpy(), axis), getattr(in_parts, name)
         assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f"), name
@@ -131,11 +131,11 @@ def test_adaptive_planner_looks_at_the_grids(config: RunConfig, game: Game) -> N
     with torch.no_grad():
         policy.policy_head[-1].bias.zero_()
 
-    def sampling(chance: torch.Tensor) -> HorizonDriver:
-        return HorizonDriver(adaptive_planner(policy, game, config.policy.horizons_s, chance), game.plan)
+    def sampling(episode_key: torch.Tensor) -> HorizonDriver:
+        return HorizonDriver(adaptive_planner(policy, game, config.policy.horizons_s, episode_key), game.plan)
 
     drawn, again = (
-        drive_episodes(game, sampling, task, 1, reward, ("adaptive", "x"), is_in_step=True) for _ in range(2)
+        drive_episodes(game, sampling, task, 1, reward, ("adaptive", "x"), is_lockstep=True) for _ in range(2)
     )
     n = int(drawn.n_steps[0])
     assert set(drawn.horizon_s[:n, 0, 0].tolist()) == {0.0, 2.0, 4.0, 6.0}

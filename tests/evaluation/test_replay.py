@@ -12,7 +12,7 @@ from negopipe.agents.horizon_drivers import adaptive_planner
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.replay import look_into, replay
+from negopipe.evaluation.replay import record_policy, replay
 from negopipe.evaluation.trace import EPISODE_AXIS, Trace
 from negopipe.game.environment import Game, build_game
 from negopipe.policy.actor_critic import ActorCritic, grid_actor_critic
@@ -44,10 +44,10 @@ def tasks(config: RunConfig) -> Task:
 def driven(config: RunConfig, game: Game, policy: ActorCritic, tasks: Task) -> Trace:
     """With horizons that are drawn, so that they change."""
 
-    def ego(chance: torch.Tensor) -> HorizonDriver:
-        return HorizonDriver(adaptive_planner(policy, game, config.policy.horizons_s, chance), game.plan)
+    def ego(episode_key: torch.Tensor) -> HorizonDriver:
+        return HorizonDriver(adaptive_planner(policy, game, config.policy.horizons_s, episode_key), game.plan)
 
-    return drive_episodes(game, ego, tasks, 3, config.evaluation.reward, ("adaptive", "push"), is_in_step=True)
+    return drive_episodes(game, ego, tasks, 3, config.evaluation.reward, ("adaptive", "push"), is_lockstep=True)
 
 
 def chosen(trace: Trace) -> list[np.ndarray]:
@@ -67,12 +67,14 @@ def test_the_policy_is_seen_thinking(
     config: RunConfig, game: Game, policy: ActorCritic, tasks: Task, driven: Trace
 ) -> None:
     paid, horizons = config.evaluation.reward, config.policy.horizons_s
-    insights = look_into(game, policy, horizons, 1.0, tasks, chosen(driven), paid)
-    for insight, n in zip(insights, driven.n_steps, strict=True):
-        assert insight.grids.shape == (n, *game.observation_shape)
-        assert insight.probability.sum(1) == pytest.approx(np.ones(n), abs=1e-5)
+    policy_traces = record_policy(game, policy, horizons, 1.0, tasks, chosen(driven), paid)
+    for policy_trace, n in zip(policy_traces, driven.n_steps, strict=True):
+        assert policy_trace.grids.shape == (n, *game.observation_shape)
+        assert policy_trace.probability.sum(1) == pytest.approx(np.ones(n), abs=1e-5)
     first = game.see(game.simulator.reset(tasks))
     with torch.no_grad():
         expected = policy(first)[0].softmax(-1)
-    assert np.array_equal(np.stack([insight.grids[0] for insight in insights]), first.numpy())
-    assert np.stack([insight.probability[0] for insight in insights]) == pytest.approx(expected.numpy(), abs=1e-5)
+    assert np.array_equal(np.stack([policy_trace.grids[0] for policy_trace in policy_traces]), first.numpy())
+    assert np.stack([policy_trace.probability[0] for policy_trace in policy_traces]) == pytest.approx(
+        expected.numpy(), abs=1e-5
+    )

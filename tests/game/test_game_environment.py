@@ -105,7 +105,7 @@ def test_driving_together_equals_driving_alone(config: RunConfig, game: Game) ->
     for _ in range(20):
         seen = game.perceive(world)
         together = drive_together(drivers, seen)
-        alone = [driver.drive(seen.of(seat)) for seat, driver in enumerate(drivers)]
+        alone = [driver.drive(seen.of(agent)) for agent, driver in enumerate(drivers)]
         apart = map_tensors(lambda *columns: torch.cat(columns, 1), *alone)
         map_tensors(lambda a, b: torch.testing.assert_close(a, b, atol=1e-4, rtol=1e-4) or a, together, apart)
         world, _ = game.simulator.step(world, together.state)

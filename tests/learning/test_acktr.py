@@ -5,7 +5,7 @@ import torch
 from corridor import a_rollout, config_of, network, train, weights
 from torch import Generator, Tensor, nn
 
-from negopipe.learning.acktr import Acktr, inner, shortening, trust_region_step
+from negopipe.learning.acktr import Acktr, inner, kl_backtracking, trust_region_step
 from negopipe.learning.learner import Learner
 from negopipe.learning.update import forward
 
@@ -70,7 +70,7 @@ def test_trust_regions_shrink_with_the_steps() -> None:
 
 def test_shortening_makes_a_quadratic_kl_fit() -> None:
     kl = torch.tensor([0.0, 0.5, 4.0, torch.nan, torch.inf])
-    share = shortening(kl, 1.0)
+    share = kl_backtracking(kl, 1.0)
     assert share.tolist() == [1.0, 1.0, 0.5, 0.0, 0.0]
 
 

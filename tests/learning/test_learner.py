@@ -83,8 +83,8 @@ def test_final_shares_act_with_progress(algorithm: str, key: str) -> None:
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_settling_makes_a_policy_decided(algorithm: str) -> None:
-    settling = [f"algorithm.settling={value}" for value in ("{start: 0.0, coefficient: 1.0}", "null")]
+def test_an_entropy_penalty_makes_a_policy_decided(algorithm: str) -> None:
+    settling = [f"algorithm.entropy_penalty={value}" for value in ("{start: 0.0, coefficient: 1.0}", "null")]
     configs = [config_of(algorithm, *FASTER[algorithm], value) for value in settling]
     decided, neutral = (train(config, 20)[2][-1]["entropy"] for config in configs)
     assert decided < neutral

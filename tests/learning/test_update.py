@@ -66,8 +66,10 @@ def test_shares_fall_linearly() -> None:
     assert [config.entropy_weight(p) for p in (0.0, 0.5, 1.0)] == pytest.approx([0.1, 0.05, 0.0])
 
 
-def test_settling_turns_the_weight_of_the_entropy_around() -> None:
-    config = config_of("a2c", "algorithm.entropy_coefficient=0.1", "algorithm.settling={start: 0.5, coefficient: 0.2}")
+def test_an_entropy_penalty_turns_the_weight_of_the_entropy_around() -> None:
+    config = config_of(
+        "a2c", "algorithm.entropy_coefficient=0.1", "algorithm.entropy_penalty={start: 0.5, coefficient: 0.2}"
+    )
     assert config.entropy_weight(0.49) > 0
     assert [config.entropy_weight(p) for p in (0.5, 1.0)] == [-0.2, -0.2]
 

@@ -80,6 +80,6 @@ def test_constant_acceleration_by_hand(speed: float, accel: float, travelled: li
 
 
 def test_the_model_is_a_group_of_its_own() -> None:
-    assert compose_config().planner.prediction.model == "constant_velocity"
+    assert compose_config().planner.prediction.kind == "constant_velocity"
     chosen = compose_config(["planner/prediction=constant_acceleration"]).planner.prediction
     assert chosen == ConstantAccelerationConfig("constant_acceleration", 5.0, 1.0, 6.0)

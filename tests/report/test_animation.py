@@ -8,7 +8,7 @@ import pytest
 from measured import FIXED_S
 from PIL import Image
 
-from negopipe.evaluation.replay import Insight
+from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.report.animation import HOLD_S, Scene, _Film, animate, choose_episodes, still, worst_episode
 from negopipe.report.figures import ADAPTIVE_COLOR, horizon_color
@@ -115,8 +115,8 @@ def test_what_the_policy_saw_and_thought_is_drawn(traces: list[Trace], scene: Sc
     grids[5, 0, 0, 0] = 1  # farthest ahead, farthest to the left
     probability = np.tile(np.float32([0.1, 0.2, 0.3, 0.4]), (n_steps, 1))
     probability[5] = (0.7, 0.1, 0.1, 0.1)
-    insight = Insight(grids, probability, (0.0, 2.0, 4.0, 6.0), 1.0)
-    film = _Film(traces[:1], 0, scene, FIXED_S, insight)
+    policy_trace = PolicyTrace(grids, probability, (0.0, 2.0, 4.0, 6.0), 1.0)
+    film = _Film(traces[:1], 0, scene, FIXED_S, policy_trace)
     (thoughts,) = film.thoughts
     thoughts.artists_at(5 * traces[0].dt_s)
     assert [bar.get_width() for bar in thoughts.bars] == pytest.approx([0.7, 0.1, 0.1, 0.1])

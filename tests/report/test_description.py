@@ -10,7 +10,7 @@ from tracked import RecordedRun
 from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.comparison import versus_adaptive
 from negopipe.evaluation.metrics import summary
-from negopipe.report.description import tell_how_it_went, what_it_is
+from negopipe.report.description import log_summary, run_description
 
 
 def episodes(planner: str, setting: str, n_successes: int) -> pd.DataFrame:
@@ -40,7 +40,7 @@ def test_it_says_what_it_is_and_how_it_went(tmp_path: Path, theirs: int, standin
         for setting in ("push", "yield")
         for planner, n in (("adaptive", 90), ("fixed_2", theirs))
     )
-    tell_how_it_went(compose_config(["+experiment=yield", "seed=3"]), run, summary(table) | versus_adaptive(table))
+    log_summary(compose_config(["+experiment=yield", "seed=3"]), run, summary(table) | versus_adaptive(table))
     assert run.tags == {"standing": standing}
     what, over_all, yielding, pushing = run.description.split("\n\n")
     assert what.startswith("yield, seed 3: a policy trained by acktr, decisions by stage: wait 163,840, both 573,440.")
@@ -51,16 +51,16 @@ def test_it_says_what_it_is_and_how_it_went(tmp_path: Path, theirs: int, standin
 
 def test_a_policy_from_elsewhere_is_named() -> None:
     config = compose_config(
-        ["+experiment=mixture", "stages=[evaluate]", "checkpoint=pretrained", "evaluation/rival=[]"]
+        ["+experiment=mixture", "stages=[evaluate]", "checkpoint=pretrained", "evaluation/baseline=[]"]
     )
-    assert "the policy of checkpoint pretrained." in what_it_is(config)
-    assert what_it_is(config).endswith("each of mixture and mixture switching, against nobody.")
+    assert "the policy of checkpoint pretrained." in run_description(config)
+    assert run_description(config).endswith("each of mixture and mixture switching, against nobody.")
 
 
 def test_what_is_not_evaluated_is_not_said_to_be() -> None:
-    assert what_it_is(compose_config(["+experiment=yield", "stages=[train]"])).endswith("both 573,440.")
+    assert run_description(compose_config(["+experiment=yield", "stages=[train]"])).endswith("both 573,440.")
 
 
 def test_what_was_shown_is_said() -> None:
-    what = what_it_is(compose_config(["+experiment=yield", "stages=[train]", "curriculum=shown"]))
+    what = run_description(compose_config(["+experiment=yield", "stages=[train]", "curriculum=demonstrations"]))
     assert what.endswith(": full 327,680, shown what a search that knows everything finds on 128 training tasks.")

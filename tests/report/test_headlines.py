@@ -36,17 +36,17 @@ def test_one_task_says_nothing() -> None:
     assert "beats" not in headline("push", planners, {"fixed_2": unknown}, FIXED_S)[0]
 
 
-def test_headline_names_the_best_rival_and_does_without_one() -> None:
-    rivals = {"fixed_0": measures(0.1, 0.9, 8.0), "fixed_6": measures(0.6, 0.0, 15.0)}
+def test_headline_names_the_best_baseline_and_does_without_one() -> None:
+    baselines = {"fixed_0": measures(0.1, 0.9, 8.0), "fixed_6": measures(0.6, 0.0, 15.0)}
     differences = {"fixed_0": versus(-0.8), "fixed_6": versus(-0.3)}
-    text, detail = headline("yield", {"adaptive": measures(0.9, 0.1, 14.0), **rivals}, differences, FIXED_S)
+    text, detail = headline("yield", {"adaptive": measures(0.9, 0.1, 14.0), **baselines}, differences, FIXED_S)
     assert "fixed 6" in text
     assert "15.0 s" in detail
     alone, _ = headline("yield", {"adaptive": measures(0.9, 0.1, None)}, {}, FIXED_S)
     assert "never arrives" in alone
 
 
-def test_the_oracle_is_nobodys_rival_and_may_have_driven_in_one_setting_only() -> None:
+def test_the_oracle_is_nobodys_baseline_and_may_have_driven_in_one_setting_only() -> None:
     planners = {"adaptive": measures(0.9, 0.0, 14.0), "fixed_6": measures(0.2, 0.0, 15.0)}
     evaluation = {"yield": planners, "push": {**planners, "oracle": measures(1.0, 0.0, 12.0)}}
     differences = {"fixed_6": versus(-0.7), "oracle": versus(0.1)}

@@ -21,7 +21,7 @@ from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP
 from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes_file import EPISODES
 from negopipe.evaluation.metrics import summary
-from negopipe.evaluation.replay import Insight
+from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
 from negopipe.report import figures
 from negopipe.report.page import ReportConfig
@@ -80,20 +80,20 @@ def evaluated(run: RecordedRun, table: pd.DataFrame, traces: list[Trace]) -> Non
     (run.folder / "metrics.json").write_text(json.dumps(measured, sort_keys=True))
 
 
-def seen(traces: dict[str, list[Trace]]) -> dict[str, dict[int, Insight]]:
+def seen(traces: dict[str, list[Trace]]) -> dict[str, dict[int, PolicyTrace]]:
     """Made-up grids and probabilities for all episodes."""
     found = {}
     for setting, (adaptive, *_) in traces.items():
         grids = np.zeros((adaptive.n_steps.max(), 4, 84, 84), dtype=np.uint8)
-        insight = Insight(grids, np.full((len(grids), 4), 0.25), (0.0, 2.0, 4.0, 6.0), 1.0)
-        found[setting] = dict.fromkeys(range(len(adaptive.n_steps)), insight)
+        policy_trace = PolicyTrace(grids, np.full((len(grids), 4), 0.25), (0.0, 2.0, 4.0, 6.0), 1.0)
+        found[setting] = dict.fromkeys(range(len(adaptive.n_steps)), policy_trace)
     return found
 
 
 def test_everything_is_written_and_logged(
     run: RecordedRun, driven: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(report, "look_into_policy", lambda config, run, traces: seen(traces))
+    monkeypatch.setattr(report, "record_policies", lambda config, run, traces: seen(traces))
     report.run(Config(n_animations=1, side_by_side=("fixed_0", "fixed_6")), run)
     page = (run.folder / "report.html").read_text()
     for section in ("Results", "Planners compared", "Negotiations", "Watch it", "Behaviour", "Training"):

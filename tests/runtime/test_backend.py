@@ -15,17 +15,17 @@ from negopipe.stages import evaluate
 
 def test_auto_is_settled_once_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(backend, "has_compiler", lambda: False)
-    first = backend.settle(compose_config(), tmp_path)
+    first = backend.resolve_auto(compose_config(), tmp_path)
     assert (first.device, first.compile) == ("cpu", "off")
     assert first.n_threads >= 1
     monkeypatch.setattr(backend, "has_compiler", lambda: True)
-    assert backend.settle(compose_config(), tmp_path) == first
-    assert backend.settle(compose_config(), tmp_path / "..").compile == "on"
+    assert backend.resolve_auto(compose_config(), tmp_path) == first
+    assert backend.resolve_auto(compose_config(), tmp_path / "..").compile == "on"
     (tmp_path / ".." / backend.BACKEND_NAME).unlink()
 
 
 def test_what_is_given_counts(tmp_path: Path) -> None:
-    settled = backend.settle(compose_config(["compile=off", "n_threads=3", "device=cpu"]), tmp_path)
+    settled = backend.resolve_auto(compose_config(["compile=off", "n_threads=3", "device=cpu"]), tmp_path)
     assert (settled.compile, settled.n_threads) == ("off", 3)
     assert json.loads((tmp_path / backend.BACKEND_NAME).read_text())["n_threads"] <= backend.MAX_THREADS
 
@@ -34,7 +34,7 @@ def test_a_compiler_that_is_gone_is_said(tmp_path: Path, monkeypatch: pytest.Mon
     (tmp_path / backend.BACKEND_NAME).write_text('{"device": "cpu", "compile": "on", "n_threads": 1}')
     monkeypatch.setattr(backend, "has_compiler", lambda: False)
     with pytest.raises(UserError, match=r"compile must be off .* got on"):
-        backend.settle(compose_config(), tmp_path)
+        backend.resolve_auto(compose_config(), tmp_path)
 
 
 def test_what_simulates_alone_does_so_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,7 +46,7 @@ def test_what_simulates_alone_does_so_in_one_thread(monkeypatch: pytest.MonkeyPa
     try:
         game = build_game(config)
         tasks = evaluate.held_out_tasks(config, game, "yield")
-        evaluate.drive_rival(config, game, config.evaluation.rivals["fixed_2"], tasks, ("fixed_2", "yield"))
+        evaluate.drive_baseline(config, game, config.evaluation.baselines["fixed_2"], tasks, ("fixed_2", "yield"))
         used.append(torch.get_num_threads())
     finally:
         torch.set_num_threads(n_before)

@@ -13,7 +13,7 @@ import torch
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.runtime import backend, network_choice
-from negopipe.runtime.network_choice import Variant, fastest, settle, time_variants, variants
+from negopipe.runtime.network_choice import Variant, fastest, resolve_auto, time_variants, variants
 
 TINY = (
     "device=cpu",
@@ -53,11 +53,11 @@ def test_the_choice_is_timed_once_said_and_kept(
 ) -> None:
     caplog.set_level("INFO", "negopipe")
     monkeypatch.setattr(network_choice, "time_variants", timing(530, 640, 190, 260))
-    settled = settle(config_of(), tmp_path)
+    settled = resolve_auto(config_of(), tmp_path)
     assert choice(settled) == ("bfloat16", LAST)
     assert json.loads((tmp_path / backend.BACKEND_NAME).read_text()) == {"precision": "bfloat16", "memory_format": LAST}
     monkeypatch.setattr(network_choice, "time_variants", no_timing)
-    assert settle(config_of(), tmp_path) == settled
+    assert resolve_auto(config_of(), tmp_path) == settled
     assert caplog.messages == [
         "network    bfloat16, channels_last (forward and backward of 6: 190 ms; float32 530 ms)",
         "network    bfloat16, channels_last, as when the run began",
@@ -68,8 +68,8 @@ def test_it_is_kept_beside_what_an_earlier_version_chose(tmp_path: Path, monkeyp
     monkeypatch.setattr(network_choice, "time_variants", timing(2, 1, 3, 3))
     earlier = {"device": "cpu", "compile": "off", "n_threads": 3}
     (tmp_path / backend.BACKEND_NAME).write_text(json.dumps(earlier))
-    config = backend.settle(compose_config(["policy.encoder_width=16"]), tmp_path)
-    assert choice(settle(config, tmp_path)) == ("float32", FIRST)
+    config = backend.resolve_auto(compose_config(["policy.encoder_width=16"]), tmp_path)
+    assert choice(resolve_auto(config, tmp_path)) == ("float32", FIRST)
     kept = json.loads((tmp_path / backend.BACKEND_NAME).read_text())
     assert kept == {**earlier, "precision": "float32", "memory_format": FIRST}
 
@@ -95,7 +95,7 @@ def test_what_is_given_is_not_timed(
     caplog.set_level("INFO", "negopipe")
     monkeypatch.setattr(network_choice, "time_variants", no_timing)
     given = config_of("policy.precision=bfloat16", "policy.memory_format=channels_first")
-    assert settle(given, tmp_path) == given
+    assert resolve_auto(given, tmp_path) == given
     assert caplog.messages == ["network    bfloat16, channels_first"]
     assert not (tmp_path / backend.BACKEND_NAME).exists()
 
@@ -107,7 +107,7 @@ def test_beside_what_is_given_only_the_rest_is_timed(
     half = config_of("policy.precision=bfloat16")
     assert variants(half.policy) == [("bfloat16", LAST), ("bfloat16", FIRST)]
     monkeypatch.setattr(network_choice, "time_variants", timing(2, 1.5))
-    assert choice(settle(half, tmp_path)) == ("bfloat16", FIRST)
+    assert choice(resolve_auto(half, tmp_path)) == ("bfloat16", FIRST)
     assert caplog.messages == [
         "network    bfloat16, channels_first (forward and backward of 6: 1.5 ms; channels_last 2 ms)"
     ]
@@ -117,9 +117,9 @@ def test_beside_what_is_given_only_the_rest_is_timed(
 def test_stages_without_a_network_do_not_wait_for_a_timing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(network_choice, "time_variants", no_timing)
     config = config_of("stages=[oracle,behaviour_map,report]")
-    assert settle(config, tmp_path) == config
+    assert resolve_auto(config, tmp_path) == config
     backend.keep_choices(tmp_path, {"precision": "bfloat16", "memory_format": FIRST})
-    assert choice(settle(config, tmp_path)) == ("bfloat16", FIRST)
+    assert choice(resolve_auto(config, tmp_path)) == ("bfloat16", FIRST)
 
 
 def test_all_that_is_open_is_timed_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,7 +152,7 @@ def test_what_is_hopeless_is_given_up_after_a_few_grids(
 
     monkeypatch.setattr(network_choice, "block_seconds", block_seconds)
     many = config_of("algorithm.n_steps=1000", "algorithm.minibatch_size=2000", "policy.memory_format=channels_last")
-    assert choice(settle(many, tmp_path)) == ("float32", LAST)
+    assert choice(resolve_auto(many, tmp_path)) == ("float32", LAST)
     assert timed == [(torch.float32, 16), (torch.bfloat16, 16), *[(torch.float32, 128)] * network_choice.N_ROUNDS]
     assert caplog.messages == [
         "network    float32, channels_last (forward and backward of 128: 100 ms; all else takes many times as long)"

@@ -14,7 +14,7 @@ from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.config.root import RunConfig, run_name
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, claims, findings
+from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, claims, trends
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes
 from negopipe.evaluation.safety import footprints, smallest_gap
@@ -120,14 +120,14 @@ def make_table(first: list[float], gap: list[float]) -> pd.DataFrame:
     ],
 )
 def test_passing_first_must_not_grow_with_the_horizon(first: list[float], verdict: str, turn: Any) -> None:
-    found = findings(make_table(first, [0.0, 0.5, 0.495, 1.0]).sample(frac=1, random_state=0))
+    found = trends(make_table(first, [0.0, 0.5, 0.495, 1.0]).sample(frac=1, random_state=0))
     assert (found[0].verdict, found[0].turn) == (verdict, turn)
     assert found[1].verdict == HOLDS  # half a centimetre is no difference
     assert claims(found)["ego_passes_first_rate"] == {"push": {"social_2": verdict}}
 
 
 def test_the_reading_says_where_it_turns() -> None:
-    text = reading(findings(make_table([1.0, 1.0, 0.5, 0.0], [0.7, 0.9, 0.25, 1.0])))
+    text = reading(trends(make_table([1.0, 1.0, 0.5, 0.0], [0.7, 0.9, 0.25, 1.0])))
     assert "Passing first more often: holds in 1 of 1 (push against 2 s)." in text
     assert "Coming closer: does not hold in 1 of 1 (push against 2 s [0.90 m at 2 s but 0.25 m at 4 s])." in text
 

@@ -11,7 +11,7 @@ from negopipe.errors import UserError
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import Rollout
 from negopipe.stages import train
-from negopipe.tensors.prefixes import take_from
+from negopipe.tensors.prefixes import strip_prefix
 from negopipe.tracking.checkpoint import load_checkpoint
 
 CONFIG = ("+experiment=smoke", "device=cpu", "tracking.snapshot_period_s=1e-6")
@@ -47,6 +47,6 @@ def test_it_stops_with_the_last_good_policy(
     assert tensors.keys() == good[-1].keys()
     assert all(torch.equal(tensors[name], weight) for name, weight in good[-1].items())
     for snapshot in (tmp_path / "snapshots").iterdir():
-        weights = take_from("policy", load_checkpoint(snapshot)[0])
+        weights = strip_prefix("policy", load_checkpoint(snapshot)[0])
         assert weights.keys() == good[-1].keys()
         assert all(weight.isfinite().all() for weight in weights.values())

@@ -47,7 +47,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
 def with_its_oracle(table: Path, *overrides: str) -> RunConfig:
     """The evaluation of a fresh policy on the tasks of `ran`."""
     return tiny(
-        *(f"evaluation.oracle={table}", "evaluation/rival=[fixed_0]", "evaluation.settings=[push,yield]"),
+        *(f"evaluation.oracle={table}", "evaluation/baseline=[fixed_0]", "evaluation.settings=[push,yield]"),
         *("evaluation.leading_setting=push", "evaluation.n_episodes=3", *overrides),
     )
 

@@ -171,7 +171,7 @@ def test_names_that_look_like_values_stay_names(outputs: Path, tmp_path: Path) -
             f"checkpoint={only_run(outputs)}/checkpoint.safetensors",
         ),
         *(f"+scenario.families.{name}=${{scenario.families.push}}" for name in ("NA", "12")),
-        *("evaluation/rival=[]", *(f"+evaluation.rivals.nan.{key}={value}" for key, value in short.items())),
+        *("evaluation/baseline=[]", *(f"+evaluation.baselines.nan.{key}={value}" for key, value in short.items())),
         *('evaluation.settings=[NA,"12"]', "evaluation.leading_setting=NA", 'report.side_by_side=["nan"]'),
         *("stages=[evaluate,behaviour_map,report,replay]", "episode=12/nan/1"),
         *("behaviour_map.n_episodes=2", "behaviour_map.horizons_s=[0,6]", "report.animation_fps=2"),

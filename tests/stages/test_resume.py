@@ -11,7 +11,7 @@ import torch
 from tracked import RecordedRun
 
 from negopipe.envs.gymnasium import compose_config
-from negopipe.runtime.interruption import AskedToStop
+from negopipe.runtime.interruption import DeferredInterrupt
 from negopipe.stages import train
 from negopipe.tracking.snapshots import Snapshots
 
@@ -122,9 +122,9 @@ def test_a_signal_waits_for_the_end_of_the_step_and_the_work_is_kept(
 
 
 def test_who_asks_twice_does_not_wait() -> None:
-    with AskedToStop() as asked_to_stop:
+    with DeferredInterrupt() as interrupt:
         os.kill(os.getpid(), signal.SIGINT)
-        assert asked_to_stop()
+        assert interrupt()
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

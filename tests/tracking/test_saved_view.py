@@ -36,7 +36,7 @@ def state(config: StoreConfig, experiment_id: str) -> dict[str, Any]:
     return dict(json.loads(view["state"]))
 
 
-def shown(config: StoreConfig, experiment_id: str) -> list[dict[str, Any]]:
+def abbreviate(config: StoreConfig, experiment_id: str) -> list[dict[str, Any]]:
     """The charts of the view."""
     found = state(config, experiment_id)
     sections = {section["uuid"] for section in found["compareRunSections"]}
@@ -46,24 +46,24 @@ def shown(config: StoreConfig, experiment_id: str) -> list[dict[str, Any]]:
 
 def test_it_shows_what_differs_and_what_came_of_it(ready: StoreConfig) -> None:
     rates = [{"seed": 1, "outputs": f"o{rate}", "algorithm": {"rate": rate, "kind": "acktr"}} for rate in (0.1, 0.2)]
-    (chart,) = shown(ready, sweep(ready, *rates))
+    (chart,) = abbreviate(ready, sweep(ready, *rates))
     assert chart["type"] == "PARALLEL"
     assert chart["selectedParams"] == ["algorithm.rate"]
     assert chart["selectedMetrics"] == ["evaluation/yield/adaptive/reward"]
 
 
 def test_seeds_are_an_axis_where_nothing_else_differs(ready: StoreConfig) -> None:
-    (chart,) = shown(ready, sweep(ready, {"seed": 1, "gamma": 0.9}, {"seed": 2, "gamma": 0.9}))
+    (chart,) = abbreviate(ready, sweep(ready, {"seed": 1, "gamma": 0.9}, {"seed": 2, "gamma": 0.9}))
     assert chart["selectedParams"] == ["seed"]
 
 
 def test_a_single_run_is_compared_with_nobody(ready: StoreConfig) -> None:
-    assert shown(ready, sweep(ready, {"seed": 1, "gamma": 0.9})) == []
+    assert abbreviate(ready, sweep(ready, {"seed": 1, "gamma": 0.9})) == []
 
 
 def test_runs_without_the_metric_do_not_count(ready: StoreConfig) -> None:
     sweep(ready, {"seed": 1, "gamma": 0.5}, metric="train.kl")
-    assert shown(ready, sweep(ready, {"seed": 3, "gamma": 0.9})) == []
+    assert abbreviate(ready, sweep(ready, {"seed": 3, "gamma": 0.9})) == []
 
 
 def test_the_other_planners_come_last_and_folded_up(ready: StoreConfig) -> None:
@@ -100,7 +100,7 @@ def test_the_charts_open_on_the_view_once_it_is_there(ready: StoreConfig) -> Non
 def test_a_view_fits_into_a_tag(ready: StoreConfig) -> None:
     many = [{"seed": 1, **{f"{'group' * 6}.key{i}": str(run) * 20 for i in range(40)}} for run in (1, 2)]
     experiment_id = sweep(ready, *many)
-    assert len(shown(ready, experiment_id)[0]["selectedParams"]) == N_AXES
+    assert len(abbreviate(ready, experiment_id)[0]["selectedParams"]) == N_AXES
     assert len(client(ready).get_experiment(experiment_id).tags[TAG]) < 2000
     with open_run(ready, "seed1-many", {"seed": 1}) as run:
         run.log_metrics({f"evaluation/{'setting' * 10}/planner_{i}/reward": 0.0 for i in range(60)}, step=1)

@@ -1,7 +1,7 @@
 """The planners that the policy is compared with, one per file.
 
-Who adds one writes a file here, whose `Config` is a `negopipe.agents.baseline.Rival` with a `kind` of its own, and a
-YAML in `conf/evaluation/rival` that chooses it.
+Who adds one writes a file here, whose `Config` is a `negopipe.agents.baseline.Baseline` with a `kind` of its own, and a
+YAML in `conf/evaluation/baseline` that chooses it.
 """
 
 from functools import reduce
@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from negopipe.agents.baseline import Rival
+from negopipe.agents.baseline import Baseline
 
-CONFIGS: tuple[type[Rival], ...] = tuple(
+CONFIGS: tuple[type[Baseline], ...] = tuple(
     import_module(f"{__name__}.{module.name}").Config for module in iter_modules(__path__)
 )
 
 if TYPE_CHECKING:
-    RivalConfig = Rival
+    BaselineConfig = Baseline
 else:
-    RivalConfig = Annotated[reduce(or_, CONFIGS), Field(discriminator="kind")]
+    BaselineConfig = Annotated[reduce(or_, CONFIGS), Field(discriminator="kind")]

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from negopipe.agents.baseline import Rival
+from negopipe.agents.baseline import Baseline
 from negopipe.agents.encounter import Encounter, encounter
 from negopipe.game.environment import Game
 from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, Real, schema
@@ -27,8 +27,8 @@ STEP_M = 0.25
 
 
 @schema
-class Config(Rival):
-    """`conf/evaluation/rival/cautious.yaml` says what each value means."""
+class Config(Baseline):
+    """`conf/evaluation/baseline/cautious.yaml` says what each value means."""
 
     kind: Literal["cautious"]
     stop_s_m: Real
@@ -39,7 +39,7 @@ class Config(Rival):
     gap_m: NonNegativeMetres
     headway_s: PositiveFloat
 
-    def driver(self, game: Game, chance: Tensor) -> "CautiousDriver":
+    def driver(self, game: Game, episode_key: Tensor) -> "CautiousDriver":
         return CautiousDriver(game, self)
 
 

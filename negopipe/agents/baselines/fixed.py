@@ -4,14 +4,14 @@ from typing import Literal
 
 from torch import Tensor
 
-from negopipe.agents.baseline import Rival
+from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver, fixed_horizon
 from negopipe.game.environment import Game
 from negopipe.schema import NonNegativeFloat, schema
 
 
 @schema
-class Config(Rival):
+class Config(Baseline):
     """horizon_s: how far ahead the other is predicted; 0 = it is ignored."""
 
     kind: Literal["fixed"]
@@ -25,5 +25,5 @@ class Config(Rival):
     def fixed_horizon_s(self) -> float:
         return self.horizon_s
 
-    def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
+    def driver(self, game: Game, episode_key: Tensor) -> HorizonDriver:
         return HorizonDriver(fixed_horizon(self.horizon_s), game.plan)

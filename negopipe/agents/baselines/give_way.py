@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from negopipe.agents.baseline import Rival
+from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver
 from negopipe.agents.encounter import encounter
 from negopipe.game.environment import Game
@@ -17,8 +17,8 @@ from negopipe.simulation.perception import Perception
 
 
 @schema
-class Config(Rival):
-    """`conf/evaluation/rival/give_way.yaml` says what each value means."""
+class Config(Baseline):
+    """`conf/evaluation/baseline/give_way.yaml` says what each value means."""
 
     kind: Literal["give_way"]
     waiting_horizon_s: NonNegativeFloat
@@ -28,7 +28,7 @@ class Config(Rival):
     def horizons_s(self) -> tuple[float, ...]:
         return (self.waiting_horizon_s, self.going_horizon_s)
 
-    def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
+    def driver(self, game: Game, episode_key: Tensor) -> HorizonDriver:
         road, length_m = game.simulator.road, game.simulator.scenario.vehicle.length_m
 
         def choose(perception: Perception) -> Tensor:

@@ -15,7 +15,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.agents.baseline import Rival
+from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver
 from negopipe.game.environment import Game
 from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
@@ -26,8 +26,8 @@ BEHIND_M = 100.0
 
 
 @schema
-class Config(Rival):
-    """`conf/evaluation/rival/level_k.yaml` says what each value means."""
+class Config(Baseline):
+    """`conf/evaluation/baseline/level_k.yaml` says what each value means."""
 
     kind: Literal["level_k"]
     horizons: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
@@ -39,7 +39,7 @@ class Config(Rival):
     lookback_s: PositiveFloat
     speed_std_mps: PositiveFloat
 
-    is_in_step: ClassVar[bool] = True
+    is_lockstep: ClassVar[bool] = True
 
     @property
     def horizons_s(self) -> tuple[float, ...]:
@@ -49,7 +49,7 @@ class Config(Rival):
     def times_s(self) -> dict[str, float]:
         return {name: getattr(self, name) for name in ("lookahead_s", "keep_s", "lookback_s")}
 
-    def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
+    def driver(self, game: Game, episode_key: Tensor) -> HorizonDriver:
         return HorizonDriver(LevelK(game, self), game.plan)
 
 
@@ -112,8 +112,8 @@ class LevelK:
             for field in (_directions(self.game, perception), perception.desired_speed)
         )
         world = imagined(self.game, map_tensors(lambda field: field.flatten(0, 1), then), direction, desired_speed)
-        seat = self.game.perceive(map_tensors(lambda field: field.repeat_interleave(n_horizons, 0), world)).of(EGO + 1)
-        wanted = self.game.plan(seat, self.horizons.repeat(len(direction))[:, None]).state.speed
+        agent = self.game.perceive(map_tensors(lambda field: field.repeat_interleave(n_horizons, 0), world)).of(EGO + 1)
+        wanted = self.game.plan(agent, self.horizons.repeat(len(direction))[:, None]).state.speed
         error = wanted.reshape(-1, n, n_horizons) - speed[:, :n, EGO + 1, None]
         is_seen = perception.is_seen_history[:, : n + 4, 0, 0].unfold(1, 4, 1).all(-1)[:, :n]
         misfit = ((error / self.config.speed_std_mps) ** 2 * is_seen[..., None]).sum(1)

@@ -6,7 +6,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.agents.baseline import Rival
+from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver
 from negopipe.agents.horizon_drivers import sequence_planner
 from negopipe.game.environment import Game
@@ -15,14 +15,14 @@ from negopipe.tensors.stateless_rng import mix
 
 
 @schema
-class Config(Rival):
+class Config(Baseline):
     """horizons: s, each equally likely. keep_s: for how long one is kept."""
 
     kind: Literal["random"]
     horizons: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
     keep_s: PositiveFloat
 
-    is_in_step: ClassVar[bool] = True
+    is_lockstep: ClassVar[bool] = True
 
     @property
     def horizons_s(self) -> tuple[float, ...]:
@@ -32,9 +32,11 @@ class Config(Rival):
     def times_s(self) -> dict[str, float]:
         return {"keep_s": self.keep_s}
 
-    def driver(self, game: Game, chance: Tensor) -> HorizonDriver:
+    def driver(self, game: Game, episode_key: Tensor) -> HorizonDriver:
         scenario = game.simulator.scenario
         n_kept = round(self.keep_s / scenario.dt_s)
-        draw = torch.arange(scenario.episode_steps, device=chance.device) // n_kept
-        choice = mix(mix(mix(chance)) + draw[:, None]) % len(self.horizons)
-        return HorizonDriver(sequence_planner(torch.tensor(self.horizons, device=chance.device)[choice]), game.plan)
+        draw = torch.arange(scenario.episode_steps, device=episode_key.device) // n_kept
+        choice = mix(mix(mix(episode_key)) + draw[:, None]) % len(self.horizons)
+        return HorizonDriver(
+            sequence_planner(torch.tensor(self.horizons, device=episode_key.device)[choice]), game.plan
+        )

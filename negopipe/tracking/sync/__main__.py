@@ -1,4 +1,4 @@
-"""`python -m negopipe.tracking.sync.__main__ <outputs> [<uri>]`: tell a store all that it has not been told yet.
+"""`python -m negopipe.tracking.sync <outputs> [<uri>]`: tell a store all that it has not been told yet.
 
 After an outage, from a machine without a network to a server, or to make a lost store anew: the run folders have it
 all. Runs that a process works on are left to it, dead ones end as KILLED. Giving it again does no harm.

@@ -26,8 +26,8 @@ def has_ended(path: Path) -> bool:
 class Journal:
     """A file of one JSON mapping per line, which only grows.
 
-    An entry has a `kind`, its `time_ms` (Unix time) and what `negopipe.tracking.sync.delivery` needs of that kind. A line
-    is in the hands of the operating system when `append` returns: a process that is killed loses nothing.
+    An entry has a `kind`, its `time_ms` (Unix time) and what `negopipe.tracking.sync.delivery` needs of that kind. The
+    operating system has a line when `append` returns: a process that is killed loses nothing.
     """
 
     def __init__(self, folder: Path) -> None:
