@@ -14,13 +14,14 @@ import numpy as np
 import torch
 
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import Game, build_game, has_compiler
+from negopipe.game.game import Game, build_game, has_compiler
 from negopipe.runtime.backend import keep_freed_memory
 from negopipe.search.horizon_text import from_text
 from negopipe.search.oracle import Rollouts
 from negopipe.search.oracle_table import read_oracle
-from negopipe.simulation.state import Task, map_tensors
+from negopipe.simulation.state import Task
 from negopipe.stages.evaluate import held_out_tasks
+from negopipe.tensors.tree import map_tensors
 
 
 def returns_of(rollouts: Rollouts, tasks: Task, actions: torch.Tensor) -> np.ndarray:

@@ -13,7 +13,8 @@ The map, from the bottom up (a part imports only what stands above it here):
     learning/     rollout, advantage, curriculum, demonstrations, update (what algorithms share), learner; acktr and
                   acktr_adam (with kfac), a2c and ppo (with adam): tensors only, nothing of the simulator
     chunks, env   the game as batched worlds for the learner
-    evaluation/   drives held-out tasks: planners, baselines (whom the policy is compared with), episodes, trace, replay;
+    evaluation/   drives held-out tasks: planners, baselines (whom the policy is compared with), episodes, trace,
+                  replay;
                   metrics, safety; statistics over tasks and seeds, comparison, claims of the paper
     report/       figures, animation, headlines, tables, page
     tracking/     what a run tells a store: journal -> delivery -> MLflow; checkpoints, snapshots, tables as files

@@ -5,7 +5,7 @@ import torch
 
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 
 torch.set_num_threads(1)  # tests run in several processes; two threads each would only wait for one another
 

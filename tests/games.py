@@ -6,7 +6,8 @@ import torch
 
 from negopipe.config.root import RunConfig
 from negopipe.simulation.scenario import FamilyConfig, TaskSampler
-from negopipe.simulation.state import Task, VehicleState, World, map_tensors
+from negopipe.simulation.state import Task, VehicleState, World
+from negopipe.tensors.tree import map_tensors
 
 MIXTURE = {"mixture": FamilyConfig(1.0, (11.99, 18.80), [], [0.0, 2.0, 4.0, 6.0], None)}
 

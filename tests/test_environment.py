@@ -10,7 +10,7 @@ import pytest
 from negopipe import CONF, environment
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.game.environment import has_compiler
+from negopipe.game.game import has_compiler
 from negopipe.tracking.database import connect
 
 ROOT = Path(__file__).parents[1]

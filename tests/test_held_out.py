@@ -5,7 +5,7 @@ import torch
 
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import build_game
+from negopipe.game.game import build_game
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task
 from negopipe.stages.evaluate import held_out_tasks

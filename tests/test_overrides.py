@@ -38,9 +38,9 @@ from negopipe.errors import UserError
 from negopipe.runtime.build import save_policy
 from negopipe.simulation.state import World
 from negopipe.stages import behaviour_map, evaluate, oracle, report
-from negopipe.stages.train import Training
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 from negopipe.tracking.run_folder import CONFIG_NAME, METRICS_NAME
+from negopipe.training.training import Training
 
 N_FAST, N_SLOW = 1, 5
 """Overrides per key."""

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import NegotiationEnv, build_game, has_compiler
+from negopipe.game.environment import NegotiationEnv
+from negopipe.game.game import build_game, has_compiler
 from negopipe.game.reward import RewardConfig
 from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
 from negopipe.simulation.scenario import TaskSampler

@@ -6,7 +6,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from negopipe.agents.driver import Driver
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.schema import PositiveInt, schema
 
 

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.perception import Perception
-from negopipe.simulation.state import Motion, map_tensors
+from negopipe.simulation.state import Motion
+from negopipe.tensors.tree import map_tensors
 
 ChooseHorizon = Callable[[Perception], Tensor]
 """Perception of one agent (S = 1) -> prediction horizon [E, 1] float32, s."""

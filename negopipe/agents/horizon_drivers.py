@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from negopipe.agents.driver import ChooseHorizon, HorizonDriver, MakeDriver
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.policy.actor_critic import ActorCritic, greedy_action
 from negopipe.simulation.perception import Perception
 from negopipe.tensors.chunked import ChunkedFunction

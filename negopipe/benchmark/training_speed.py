@@ -12,10 +12,11 @@ from negopipe.benchmark.speed import block_seconds
 from negopipe.config.root import as_mapping
 from negopipe.runtime.build import device_of
 from negopipe.runtime.network_passes import iteration_passes
-from negopipe.stages.train import Training, save_stage
+from negopipe.stages.train import save_stage
 from negopipe.tracking.run_folder import SNAPSHOTS_NAME
 from negopipe.tracking.snapshots import Snapshots
 from negopipe.tracking.store import TrackedRun, open_run
+from negopipe.training.training import Training
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig

@@ -6,7 +6,7 @@ that must be read or written between two decisions. The network is not part of i
 
 from dataclasses import dataclass
 
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.simulation.scenario import ScenarioConfig
 
 OVERLAP = 49

@@ -16,7 +16,7 @@ from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE
-from negopipe.game.environment import CHUNKS
+from negopipe.game.game import CHUNKS
 from negopipe.game.reward import RewardConfig
 from negopipe.learning.acktr import AcktrConfig
 from negopipe.learning.acktr_adam import AcktrAdamConfig

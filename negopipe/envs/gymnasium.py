@@ -27,7 +27,8 @@ from negopipe.config.compose import compose_config
 from negopipe.config.messages import abbreviate
 from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
-from negopipe.game.environment import NegotiationEnv, build_game
+from negopipe.game.environment import NegotiationEnv
+from negopipe.game.game import build_game
 from negopipe.learning.rollout import Transition
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.torch_settings import own_settings

@@ -11,11 +11,12 @@ from negopipe.agents.baselines import BaselineConfig
 from negopipe.agents.driver import Driver, HorizonDriver, MakeDriver, drive_together, own_style
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, FileName, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.simulator import Events
-from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World, map_tensors, tree_where
+from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World
+from negopipe.tensors.tree import map_tensors, tree_where
 
 DEADLOCK_S = 5.0
 """Time at rest, nose to nose, that makes a timeout a deadlock (docs/reading.md, "deadlock")."""

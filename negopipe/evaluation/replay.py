@@ -11,7 +11,7 @@ from negopipe.agents.driver import ChooseHorizon
 from negopipe.agents.horizon_drivers import by_horizon, sequence_planner
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import Trace
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.simulation.perception import Perception

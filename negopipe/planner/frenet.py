@@ -21,8 +21,9 @@ from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import VehicleConfig
-from negopipe.simulation.state import Motion, map_tensors
+from negopipe.simulation.state import Motion
 from negopipe.tensors.materialize import materialize
+from negopipe.tensors.tree import map_tensors
 
 
 @schema

@@ -6,7 +6,6 @@ it drives within the prediction horizon at its present speed, in the colour of t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
 
@@ -16,27 +15,28 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
 from PIL import Image
 
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.report.figures import (
-    CORRIDOR,
-    INK,
-    OUTCOME_COLORS,
-    QUIET,
-    horizon_color,
-    outcome_label,
-    planner_colors,
-    planner_label,
-    styled,
+from negopipe.report.labels import outcome_label, planner_label
+from negopipe.report.scene import (
+    GROUND,
+    PARKED,
+    ROAD,
+    SOCIAL,
+    Scene,
+    add_polygon,
+    box_corners,
+    draw_scene,
+    ribbon_corners,
+    view_limits,
 )
+from negopipe.report.style import CORRIDOR, INK, OUTCOME_COLORS, QUIET, horizon_color, planner_colors, styled
 from negopipe.simulation.state import EGO
 
 WIDTH_PX, TOP_PX, HEADER_PX, DPI = 640, 26, 26, 100
-GROUND, ROAD, PARKED, SOCIAL = "#DDE3DC", "#F7F7F5", "#B9BDC2", "#4A4A4A"
 INSIGHT_PX, GRID_PX = 128, 96
 HOLD_S = 1.5
 """How long the last frame stays before the animation starts again."""
@@ -47,27 +47,6 @@ N_COLORS = 128
 """Colours of the GIF's one palette; edges are smoothed, so there are more shades than colours named here."""
 SLIDE_COLORS = 32
 """... of one slide's: charts have few."""
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What stands still, in the world frame, m and rad.
-
-    parked_cars: [P, 5] x, y, yaw, length, width
-    line_m: [K, 4] sigma (increasing), x, y and heading of the road's reference line
-    kerbs_m: [2, K, 2] x, y of the right and the left kerb at these sigma
-    corridor_m: [2, M, 2] the same of the corridor, from mouth to mouth
-    route_d_m: [2, K] offset to the line's left of the routes along the line and against it
-    vehicle_length_m, vehicle_width_m: footprint of every vehicle
-    """
-
-    parked_cars: np.ndarray
-    line_m: np.ndarray
-    kerbs_m: np.ndarray
-    corridor_m: np.ndarray
-    route_d_m: np.ndarray
-    vehicle_length_m: float
-    vehicle_width_m: float
 
 
 def choose_episodes(trace: Trace, n_episodes: int) -> list[int]:
@@ -169,7 +148,7 @@ class _Film:
         fixed_s: FixedHorizons,
         policy_trace: PolicyTrace | None = None,
     ) -> None:
-        left_m, right_m, low_m, high_m = _view([trace.position_m[0, episode] for trace in traces], scene)
+        left_m, right_m, low_m, high_m = view_limits([trace.position_m[0, episode] for trace in traces], scene)
         road_px = round(WIDTH_PX * (high_m - low_m) / (right_m - left_m))
         below_px = 0 if policy_trace is None else INSIGHT_PX
         height_px = TOP_PX + len(traces) * (HEADER_PX + road_px + 4) + below_px
@@ -182,7 +161,7 @@ class _Film:
             axis = self.figure.add_axes((0, bottom_px / height_px, 1, road_px / height_px))
             axis.set(xlim=(left_m, right_m), ylim=(low_m, high_m))
             axis.axis("off")
-            _draw_scene(axis, scene)
+            draw_scene(axis, scene)
             self.panels.append(_Panel(axis, trace, episode, scene, fixed_s))
         if policy_trace is not None:
             self.thoughts.append(_Thoughts(self.figure, policy_trace, traces[0].dt_s))
@@ -209,9 +188,9 @@ class _Panel:
         self.yaw_rad = np.unwrap(trace.yaw_rad[:, episode], axis=0)
         n_vehicles = self.yaw_rad.shape[1]
         colors = [*planner_colors([trace.planner], fixed_s).values(), *[SOCIAL] * (n_vehicles - 1)]
-        self.ribbons = [_polygon(axis, QUIET, alpha=RIBBON_ALPHA) for _ in colors[1:]]
-        self.bodies = [_polygon(axis, color) for color in colors]
-        self.windscreens = [_polygon(axis, "white") for _ in colors]
+        self.ribbons = [add_polygon(axis, QUIET, alpha=RIBBON_ALPHA) for _ in colors[1:]]
+        self.bodies = [add_polygon(axis, color) for color in colors]
+        self.windscreens = [add_polygon(axis, "white") for _ in colors]
         (self.crash,) = axis.plot([0], [0], "X", color=OUTCOME_COLORS["collision"], markersize=15, mec="white")
         above_road: Any = {"transform": axis.transAxes, "va": "bottom", "clip_on": False}
         label = planner_label(trace.planner, fixed_s)
@@ -233,9 +212,9 @@ class _Panel:
         horizon_s = self.trace.horizon_s[min(int(step), end - 1), self.episode, EGO]
         for vehicle, (body, windscreen) in enumerate(zip(self.bodies, self.windscreens, strict=True)):
             length, width = self.scene.vehicle_length_m, self.scene.vehicle_width_m
-            body.set_xy(_corners(position[vehicle], yaw[vehicle], (-length / 2, length / 2), width))
+            body.set_xy(box_corners(position[vehicle], yaw[vehicle], (-length / 2, length / 2), width))
             glass = (0.14 * length, 0.3 * length)
-            windscreen.set_xy(_corners(position[vehicle], yaw[vehicle], glass, 0.8 * width))
+            windscreen.set_xy(box_corners(position[vehicle], yaw[vehicle], glass, 0.8 * width))
         self._show_prediction(position, yaw, speed, np.nan if step >= end else horizon_s)
         self._show_status(step >= end, position, speed)
         return self._moving()
@@ -254,7 +233,7 @@ class _Panel:
         self.horizon.set_text(f"looks {horizon_s:g} s ahead" if has_horizon else "")
         for ribbon, vehicle in zip(self.ribbons, range(1, len(yaw)), strict=True):
             way_m = speed[vehicle] * horizon_s if has_horizon else 0.0
-            ribbon.set_xy(_ribbon(self.scene, position[vehicle], yaw[vehicle], way_m))
+            ribbon.set_xy(ribbon_corners(self.scene, position[vehicle], yaw[vehicle], way_m))
             ribbon.set_facecolor(horizon_color(horizon_s) if has_horizon else QUIET)
 
     def _show_status(self, is_over: bool, position: np.ndarray, speed: np.ndarray) -> None:
@@ -325,58 +304,3 @@ class _Thoughts:
 def _as_driven(grid: np.ndarray) -> np.ndarray:
     """A grid [H, W], row 0 farthest ahead and column 0 farthest to the left, turned so that ahead is to the right."""
     return grid[::-1].T
-
-
-def _polygon(axis: Axes, color: str, alpha: float = 1.0) -> Polygon:
-    polygon = Polygon([(0.0, 0.0)] * 3, facecolor=color, linewidth=0, alpha=alpha)
-    axis.add_patch(polygon)
-    return polygon
-
-
-def _view(starts: Sequence[np.ndarray], scene: Scene) -> tuple[float, float, float, float]:
-    """Left, right, lower and upper limit of a panel, m: the road between the outermost of `starts` (each [V, 2])."""
-    sigma = scene.line_m[:, 0]
-    reach_m = max(abs(_along(scene, position)[0]) for start in starts for position in start) + 4
-    shown = np.linspace(-reach_m, reach_m, 201)
-    x, y = (np.concatenate([np.interp(shown, sigma, kerb[:, axis]) for kerb in scene.kerbs_m]) for axis in (0, 1))
-    return x.min(), x.max(), y.min() - 0.7, y.max() + 0.7
-
-
-def _draw_scene(axis: Axes, scene: Scene) -> None:
-    axis.add_patch(Rectangle((0, 0), 1, 1, transform=axis.transAxes, color=GROUND, lw=0))
-    for (right, left), color in ((scene.kerbs_m, ROAD), (scene.corridor_m, CORRIDOR)):
-        axis.add_patch(Polygon(np.concatenate([right, left[::-1]]), color=color, lw=0))
-    for kerb in scene.kerbs_m:
-        axis.plot(*kerb.T, color=INK, linewidth=1.0)
-    for x, y, yaw, length, width in scene.parked_cars:
-        corners = _corners(np.array([x, y]), yaw, (-length / 2, length / 2), width)
-        axis.add_patch(Polygon(corners, facecolor=PARKED, edgecolor=QUIET, lw=0.8))
-
-
-def _corners(center: np.ndarray, yaw_rad: float, along_m: tuple[float, float], width_m: float) -> np.ndarray:
-    """[4, 2] corners of a rectangle in the body frame's `along_m` interval, in the world frame."""
-    body = np.array([(x, y) for x, y in zip(np.repeat(along_m, 2), (-1, 1, 1, -1), strict=True)])
-    body[:, 1] *= width_m / 2
-    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    return center + body @ np.array([[cos, sin], [-sin, cos]])
-
-
-def _along(scene: Scene, position: np.ndarray) -> tuple[float, float]:
-    """sigma (m) of a position [2] on the road, and the line's heading there (rad)."""
-    sigma, x, y, heading = scene.line_m[np.hypot(*(scene.line_m[:, 1:3] - position).T).argmin()]
-    ahead = (position[0] - x) * np.cos(heading) + (position[1] - y) * np.sin(heading)
-    return float(sigma + ahead), float(heading)
-
-
-def _ribbon(scene: Scene, position: np.ndarray, yaw_rad: float, way_m: float) -> np.ndarray:
-    """[2N, 2] outline of the next `way_m` metres along the road of the route of a vehicle at `position`."""
-    start, line_heading = _along(scene, position)
-    is_against = bool(np.cos(yaw_rad - line_heading) < 0)
-    sigma = start + (-1 if is_against else 1) * np.linspace(0, way_m, 24)
-    d, x, y, heading = (
-        np.interp(sigma, scene.line_m[:, 0], values)
-        for values in (scene.route_d_m[int(is_against)], *scene.line_m[:, 1:].T)
-    )
-    half = 0.8 * scene.vehicle_width_m / 2
-    right, left = (np.stack([x - e * np.sin(heading), y + e * np.cos(heading)], -1) for e in (d - half, d + half))
-    return np.concatenate([right, left[::-1]])

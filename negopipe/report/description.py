@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
-from negopipe.report.figures import planner_label, setting_label
 from negopipe.report.headlines import headlines, standing
+from negopipe.report.labels import planner_label, setting_label
 from negopipe.report.page import settings_in_order
 
 if TYPE_CHECKING:

@@ -7,114 +7,41 @@ common colour vision deficiencies (smallest CIE76 difference 27).
 """
 
 import math
-import re
 from collections.abc import Collection, Mapping, Sequence
 from io import BytesIO
-from typing import Any
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from negopipe.evaluation.metrics import behaviour_index, running
-from negopipe.evaluation.names import FixedHorizons, in_words
+from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES, Trace
+from negopipe.report.labels import outcome_label, planner_label, setting_label
+from negopipe.report.style import (
+    ADAPTIVE_COLOR,
+    CORRIDOR,
+    INK,
+    OUTCOME_COLORS,
+    QUIET,
+    STYLE,
+    WIDTH_IN,
+    horizon_color,
+    planner_colors,
+    styled,
+)
 from negopipe.simulation.state import EGO
-
-ADAPTIVE_COLOR = "#00A0A0"
-BASELINE_COLORS = {
-    "random": "#7A7A7A",
-    "give_way": "#B08D57",
-    "cautious": "#B5B5B5",
-    "level_k": "#5E7F5E",
-    "oracle": "#8FBF3F",
-}
-OTHER_COLORS = tuple(BASELINE_COLORS.values())
-OUTCOME_COLORS = {
-    "success": "#BFD9EA",
-    "collision": "#D55E00",
-    "deadlock": "#3C3C3C",
-    "timeout": "#A8A8A8",
-    "social_collision": "#F2C14E",
-}
-INK, QUIET, CORRIDOR = "#222222", "#8A8A8A", "#EFEBE2"
-LONGEST_HORIZON_S = 6.0
-HORIZON_COLORMAP = LinearSegmentedColormap.from_list("horizon", ["#E09000", "#D64550", "#9A4FBF", "#1B1B4B"])
-
-WIDTH_IN = 4.4
-STYLE: Any = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.labelsize": 9,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.edgecolor": QUIET,
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.color": QUIET,
-    "ytick.color": QUIET,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "grid.color": "#E4E4E4",
-    "figure.facecolor": "white",
-    "savefig.dpi": 200,
-    "svg.hashsalt": "negopipe",
-}
-styled = matplotlib.rc_context(STYLE)
-"""Decorator (and context) in which everything is drawn and saved."""
-
-
-def horizon_color(horizon_s: float) -> str:
-    """Colour of a prediction horizon, as hex."""
-    return to_hex(HORIZON_COLORMAP(min(horizon_s / LONGEST_HORIZON_S, 1.0)))
-
-
-def planner_colors(planners: Sequence[str], fixed_s: FixedHorizons) -> dict[str, str]:
-    """Colour of each planner, as hex, the same whoever is beside it; of one that is not known here, quiet ones in
-    their order.
-    """
-    known = {ADAPTIVE: ADAPTIVE_COLOR, **BASELINE_COLORS}
-    known |= {name: horizon_color(horizon_s) for name, horizon_s in fixed_s.items()}
-    others = dict.fromkeys(name for name in planners if name not in known)
-    free = [color for name, color in BASELINE_COLORS.items() if name not in planners] or [QUIET]
-    known |= {name: free[i % len(free)] for i, name in enumerate(others)}
-    return {name: known[name] for name in planners}
-
-
-def planner_label(planner: str, fixed_s: FixedHorizons) -> str:
-    """The name in words; no line breaks between a horizon and its unit."""
-    return re.sub(r"(?<=\d) s\b", "\N{NO-BREAK SPACE}s", in_words(planner, fixed_s))
-
-
-def outcome_label(outcome: str) -> str:
-    """`social_collision` -> `social collision`."""
-    return outcome.replace("_", " ")
 
 
 def outcome_legend(figure: Figure, outcomes: Collection[str]) -> None:
     """A legend above the figure of those of `outcomes`, in one order everywhere."""
     handles = [Patch(color=c, label=outcome_label(name)) for name, c in OUTCOME_COLORS.items() if name in outcomes]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0, columnspacing=1.0)
-
-
-def setting_label(setting: str) -> str:
-    """`mixture_switching` -> `Mixture switching`."""
-    return setting[:1].upper() + setting[1:].replace("_", " ")
 
 
 @styled

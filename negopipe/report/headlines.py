@@ -5,7 +5,7 @@ from typing import Any
 
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE
-from negopipe.report.figures import planner_label, setting_label
+from negopipe.report.labels import planner_label, setting_label
 
 Measures = Mapping[str, Any]
 """The measures of one planner in one setting, as `evaluation.metrics.summary` names them."""

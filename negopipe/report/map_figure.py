@@ -10,7 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, Trend
-from negopipe.report.figures import INK, OUTCOME_COLORS, STYLE, WIDTH_IN, outcome_legend, setting_label, styled
+from negopipe.report.figures import outcome_legend
+from negopipe.report.labels import setting_label
+from negopipe.report.style import INK, OUTCOME_COLORS, STYLE, WIDTH_IN, styled
 
 RATES = {
     "success": "success_rate",

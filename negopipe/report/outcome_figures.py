@@ -15,18 +15,9 @@ from matplotlib.patches import Patch
 
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES
-from negopipe.report.figures import (
-    INK,
-    OUTCOME_COLORS,
-    QUIET,
-    WIDTH_IN,
-    outcome_legend,
-    planner_colors,
-    planner_label,
-    setting_label,
-    settings_and_planners,
-    styled,
-)
+from negopipe.report.figures import outcome_legend, settings_and_planners
+from negopipe.report.labels import planner_label, setting_label
+from negopipe.report.style import INK, OUTCOME_COLORS, QUIET, WIDTH_IN, planner_colors, styled
 
 BIN_M = 0.2
 """Width of a column of start distances; the first and the last end with the distances themselves."""

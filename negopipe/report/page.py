@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 import jinja2
 from pydantic import Field
 
-from negopipe.evaluation.claims import Claim, Finding, Verdict
+from negopipe.evaluation.hypothesis import Claim, Finding, Verdict
 from negopipe.evaluation.names import FixedHorizons
-from negopipe.report.figures import setting_label
 from negopipe.report.headlines import Difference, Measures, Versus
+from negopipe.report.labels import setting_label
 from negopipe.report.tables import Table, n_episodes, tables
 from negopipe.schema import Distinct, NonNegativeInt, PositiveInt, schema
 

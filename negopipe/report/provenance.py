@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 from negopipe.errors import UserError
-from negopipe.evaluation.claims import Claim
+from negopipe.evaluation.hypothesis import Claim
 from negopipe.report.page import Provenance
 from negopipe.tracking.whole_file import write_whole
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from negopipe.evaluation.names import FixedHorizons
-from negopipe.report.figures import planner_colors, planner_label
 from negopipe.report.headlines import Difference, Measures, Versus
+from negopipe.report.labels import planner_label
+from negopipe.report.style import planner_colors
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import torch
 
 from negopipe import environment
 from negopipe.errors import UserError
-from negopipe.game.environment import has_compiler
+from negopipe.game.game import has_compiler
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from negopipe.errors import UserError
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.policy.actor_critic import ActorCritic, grid_actor_critic
 from negopipe.tensors.seeding import generator
 from negopipe.tracking.checkpoint import load_checkpoint, save_checkpoint

@@ -18,10 +18,11 @@ import torch
 from pydantic import Field
 from torch import Generator, Tensor
 
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, PositiveInt, schema
-from negopipe.simulation.state import EGO, Task, World, map_tensors, tree_where
+from negopipe.simulation.state import EGO, Task, World
+from negopipe.tensors.tree import map_tensors, tree_where
 
 SHIFT_CHANCE = 0.3
 """How often a candidate has its later decisions moved in time, beside the pieces that are written over."""

@@ -19,7 +19,8 @@ from torch import Tensor
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, time_to_collision, wrap_angle
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import VehicleConfig
-from negopipe.simulation.state import VehicleState, tree_where
+from negopipe.simulation.state import VehicleState
+from negopipe.tensors.tree import tree_where
 
 PIECE_S = 0.05
 """Longest piece of a motion between two control steps."""

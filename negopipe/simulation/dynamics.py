@@ -9,7 +9,8 @@ from torch import Tensor
 
 from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
-from negopipe.simulation.state import VehicleState, tree_where
+from negopipe.simulation.state import VehicleState
+from negopipe.tensors.tree import tree_where
 
 SteerDegrees = Annotated[float, Field(gt=0, lt=90)]
 

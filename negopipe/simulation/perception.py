@@ -12,8 +12,9 @@ from torch import Tensor
 
 from negopipe.schema import Fraction, NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
-from negopipe.simulation.state import VehicleState, World, map_tensors
+from negopipe.simulation.state import VehicleState, World
 from negopipe.tensors.stateless_rng import mix, normals, uniform
+from negopipe.tensors.tree import map_tensors
 
 
 @schema

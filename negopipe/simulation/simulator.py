@@ -14,7 +14,8 @@ from negopipe.simulation.dynamics import Dynamics
 from negopipe.simulation.perception import other_columns
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import ScenarioConfig
-from negopipe.simulation.state import AT_REST_MPS, EGO, Task, VehicleState, World, map_tensors, tree_where
+from negopipe.simulation.state import AT_REST_MPS, EGO, Task, VehicleState, World
+from negopipe.tensors.tree import map_tensors, tree_where
 
 SETTLING_S = 1.0
 """Start of an episode in which rest does not count as being stuck: a task may start vehicles from rest."""

@@ -13,15 +13,16 @@ from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, cell, claims, trends
 from negopipe.evaluation.episodes import drive_episodes, warm_up
 from negopipe.evaluation.names import fixed_name
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.report.figures import render
 from negopipe.report.map_figure import behaviour_map, reading
 from negopipe.runtime.build import game_of
 from negopipe.runtime.progress import ProgressLine
 from negopipe.runtime.workers import n_processes, side_by_side
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import Task, map_tensors
+from negopipe.simulation.state import Task
 from negopipe.tensors.seeding import generator
+from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import write_csv
 
 if TYPE_CHECKING:

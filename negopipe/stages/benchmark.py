@@ -35,7 +35,8 @@ from negopipe.benchmark.speed import (
 from negopipe.benchmark.training_speed import measure_training
 from negopipe.benchmark.workload import decision_workload
 from negopipe.errors import UserError
-from negopipe.game.environment import Game, NegotiationEnv, build_game, has_compiler
+from negopipe.game.environment import NegotiationEnv
+from negopipe.game.game import Game, build_game, has_compiler
 from negopipe.policy.actor_critic import grid_actor_critic
 from negopipe.runtime.backend import prepare
 from negopipe.runtime.progress import ProgressLine

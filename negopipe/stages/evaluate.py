@@ -19,7 +19,7 @@ from negopipe.evaluation.episodes import drive_episodes, warm_up
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.safety import safety
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.report.description import log_summary
 from negopipe.runtime.build import build, load_policy
@@ -27,9 +27,10 @@ from negopipe.runtime.progress import ProgressLine
 from negopipe.runtime.workers import n_processes, side_by_side
 from negopipe.search.oracle_table import DOES_NOT_FIT, drive_oracle, read_oracle
 from negopipe.simulation.scenario import TaskSampler, pair_styles
-from negopipe.simulation.state import Task, map_tensors
+from negopipe.simulation.state import Task
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.torch_settings import one_thread
+from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 from negopipe.tracking.csv_file import write_csv
 

@@ -15,15 +15,16 @@ from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes, running, summary
 from negopipe.evaluation.names import fixed_name
 from negopipe.evaluation.trace import ORACLE, Trace
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.runtime.build import game_of
 from negopipe.runtime.progress import ProgressLine
 from negopipe.search.oracle import Rollouts, Sequences, best_simple, improve
 from negopipe.search.oracle_table import ORACLE_TABLE
-from negopipe.simulation.state import EGO, Task, map_tensors
+from negopipe.simulation.state import EGO, Task
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.torch_settings import one_thread
+from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import read_csv, write_csv
 
 if TYPE_CHECKING:

@@ -11,13 +11,14 @@ from negopipe.errors import UserError
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.replay import PolicyTrace, record_policy, replay
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.report import animation
 from negopipe.runtime.build import build, load_policy
 from negopipe.search.horizon_text import from_text
-from negopipe.simulation.state import Task, map_tensors
+from negopipe.simulation.state import Task
 from negopipe.stages.evaluate import checkpoint_of, drive_baseline, held_out_tasks, measure
 from negopipe.stages.report import make_scene
+from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import csv_text, parse_csv, read_csv
 from negopipe.tracking.whole_file import write_whole
 

@@ -12,10 +12,11 @@ import pandas as pd
 
 from negopipe.config.root import RESULT_NEUTRAL
 from negopipe.errors import UserError
-from negopipe.evaluation.claims import Claim, judge_curriculum
+from negopipe.evaluation.claims import judge_curriculum
+from negopipe.evaluation.hypothesis import Claim
 from negopipe.evaluation.statistics import probability_of_improvement
 from negopipe.evaluation.trace import ADAPTIVE
-from negopipe.report.figures import setting_label
+from negopipe.report.labels import setting_label
 from negopipe.report.page import Chapter
 from negopipe.report.tables import Column, table
 from negopipe.sweeping.learning_curves import COLORS, MEASURES

@@ -16,7 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from negopipe.errors import UserError
-from negopipe.report.figures import OTHER_COLORS, QUIET, render, styled
+from negopipe.report.figures import render
+from negopipe.report.style import OTHER_COLORS, QUIET, styled
 from negopipe.sweeping.swept_runs import SweptRun, read_runs
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.tracking.run_folder import HISTORY_NAME

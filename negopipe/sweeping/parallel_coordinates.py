@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from negopipe.report.figures import INK, QUIET, styled
+from negopipe.report.style import INK, QUIET, styled
 
 AXIS_IN, HEIGHT_IN = 1.35, 3.6
 LOG_RATIO = 30.0

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from negopipe.simulation.state import map_tensors, tensors
+from negopipe.tensors.tree import map_tensors, tensors
 
 Tables = tuple[Tensor, ...]
 """[E, columns] each, one per dtype."""

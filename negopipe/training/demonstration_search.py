@@ -12,7 +12,7 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.learning.demonstrations import Demonstrations, DemonstrationsConfig
 from negopipe.runtime.progress import ProgressLine
 from negopipe.search.horizon_text import from_text, to_text

@@ -18,7 +18,7 @@ from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import Task
 

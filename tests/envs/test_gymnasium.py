@@ -17,7 +17,8 @@ from gymnasium.utils.seeding import np_random
 from negopipe.config.compose import compose_config
 from negopipe.envs.gymnasium import ENV_ID, NarrowLaneEnv, NarrowLaneVectorEnv
 from negopipe.errors import UserError
-from negopipe.game.environment import NegotiationEnv, build_game
+from negopipe.game.environment import NegotiationEnv
+from negopipe.game.game import build_game
 from negopipe.simulation.scenario import TaskSampler
 
 SEED = 4

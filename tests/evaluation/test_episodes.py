@@ -14,9 +14,10 @@ from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
-from negopipe.game.environment import Game, build_game, has_compiler
+from negopipe.game.game import Game, build_game, has_compiler
 from negopipe.policy.actor_critic import grid_actor_critic
-from negopipe.simulation.state import Task, map_tensors
+from negopipe.simulation.state import Task
+from negopipe.tensors.tree import map_tensors
 
 
 def task_with(config: RunConfig, distance_m: float, style_s: float, n: int = 1) -> Task:

@@ -14,7 +14,7 @@ from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.replay import record_policy, replay
 from negopipe.evaluation.trace import EPISODE_AXIS, Trace
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.policy.actor_critic import ActorCritic, grid_actor_critic
 from negopipe.simulation.state import Task
 

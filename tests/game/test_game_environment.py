@@ -8,11 +8,13 @@ from games import draw_tasks
 
 from negopipe.agents.driver import HorizonDriver, drive_together, fixed_horizon, own_style
 from negopipe.config.root import RunConfig
-from negopipe.game.environment import Game, NegotiationEnv, build_game
+from negopipe.game.environment import NegotiationEnv
+from negopipe.game.game import Game, build_game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import EGO, Motion, map_tensors
+from negopipe.simulation.state import EGO, Motion
+from negopipe.tensors.tree import map_tensors
 
 
 def make(config: RunConfig, game: Game, n_worlds: int) -> NegotiationEnv:

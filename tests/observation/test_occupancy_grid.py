@@ -8,7 +8,7 @@ import torch
 from games import draw_tasks
 
 from negopipe.config.root import RunConfig
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.observation.occupancy_grid import OccupancyGrid, frame_stride
 from negopipe.simulation.state import EGO, World
 

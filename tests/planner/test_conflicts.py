@@ -14,7 +14,7 @@ from situations import Situation, draw_situations, world_boxes
 from torch import Tensor
 
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import build_game
+from negopipe.game.game import build_game
 from negopipe.planner.frenet import FrenetPlanner, _conflicts
 from negopipe.planner.prediction import predict
 from negopipe.simulation.geometry import overlap_depth

@@ -8,11 +8,12 @@ import torch
 from games import draw_tasks, place
 
 from negopipe.config.root import RunConfig
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.planner.frenet import FrenetPlanner
 from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
 from negopipe.simulation.perception import Perception
-from negopipe.simulation.state import EGO, Motion, World, map_tensors
+from negopipe.simulation.state import EGO, Motion, World
+from negopipe.tensors.tree import map_tensors
 
 HORIZONS = (0.0, 2.0, 4.0, 6.0)
 

@@ -3,7 +3,7 @@
 import torch
 from situations import draw_situations
 
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 
 
 def test_the_first_step_keeps_the_jerk_limit(game: Game) -> None:

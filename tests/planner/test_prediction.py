@@ -7,7 +7,7 @@ import torch
 
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.planner.prediction import ConstantAccelerationConfig, PredictedPath, predict
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import VehicleState

@@ -5,10 +5,11 @@ from games import place
 
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import build_game
+from negopipe.game.game import build_game
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import EGO, map_tensors
+from negopipe.simulation.state import EGO
+from negopipe.tensors.tree import map_tensors
 
 
 def pushed(config: RunConfig, n: int) -> TaskSampler:

@@ -14,7 +14,7 @@ from situations import world_boxes
 from torch import Tensor
 
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import build_game
+from negopipe.game.game import build_game
 from negopipe.planner.roadside import Roadside
 from negopipe.simulation.geometry import overlap_depth
 from negopipe.simulation.road import Road

@@ -11,11 +11,12 @@ from situations import draw_situations
 from torch import Tensor
 
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.planner.frenet import FrenetPlanner, LimitConfig
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.road import RouteState
-from negopipe.simulation.state import VehicleState, map_tensors
+from negopipe.simulation.state import VehicleState
+from negopipe.tensors.tree import map_tensors
 
 DT_S = 0.2
 HORIZONS = (0.0, 2.0, 4.0, 6.0)

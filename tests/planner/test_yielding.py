@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Motion, World
 

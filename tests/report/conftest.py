@@ -7,7 +7,7 @@ import pytest
 from negopipe.evaluation.metrics import episodes
 from negopipe.evaluation.safety import safety
 from negopipe.evaluation.trace import Trace
-from negopipe.report.animation import Scene
+from negopipe.report.scene import Scene
 from negopipe.simulation.scenario import VehicleConfig
 
 DT_S = 0.2

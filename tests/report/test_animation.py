@@ -10,8 +10,9 @@ from PIL import Image
 
 from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.report.animation import HOLD_S, Scene, _Film, animate, choose_episodes, still, worst_episode
-from negopipe.report.figures import ADAPTIVE_COLOR, horizon_color
+from negopipe.report.animation import HOLD_S, _Film, animate, choose_episodes, still, worst_episode
+from negopipe.report.scene import Scene
+from negopipe.report.style import ADAPTIVE_COLOR, horizon_color
 
 
 def ranked(trace: Trace, returns: list[float], outcomes: list[str]) -> Trace:

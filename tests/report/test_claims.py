@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 from measured import FIXED_S
 
-from negopipe.evaluation.claims import Claim, judge_claims
+from negopipe.evaluation.claims import judge_claims
+from negopipe.evaluation.hypothesis import Claim
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import Trace
 

@@ -13,7 +13,7 @@ from measured import FIXED_S
 
 from negopipe.evaluation.metrics import behaviour_index
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.report import figures, outcome_figures
+from negopipe.report import figures, labels, outcome_figures, style
 
 Draw = Callable[[list[Trace], pd.DataFrame, pd.DataFrame], Figure]
 
@@ -66,19 +66,19 @@ def test_style_does_not_leak(table: pd.DataFrame) -> None:
 
 
 def test_a_planner_keeps_its_colour_whoever_it_is_shown_with() -> None:
-    together = figures.planner_colors(["adaptive", "fixed_0", "random", "fixed_4", "level_k", "rule", "rule"], FIXED_S)
-    assert together["fixed_4"] == figures.horizon_color(4.0)
+    together = style.planner_colors(["adaptive", "fixed_0", "random", "fixed_4", "level_k", "rule", "rule"], FIXED_S)
+    assert together["fixed_4"] == style.horizon_color(4.0)
     for name in ("adaptive", "fixed_4", "level_k"):
-        assert figures.planner_colors([name], FIXED_S) == {name: together[name]}
+        assert style.planner_colors([name], FIXED_S) == {name: together[name]}
     assert len(set(together.values())) == 6
 
 
 def test_a_planners_name_tells_nothing_of_its_horizon() -> None:
     fixed_s = {"bold": 0.0, "fixed_2": 6.0, "fixed_2.5": 2.5, "random": 4.0}
-    colors = figures.planner_colors([*fixed_s, "fixed_0"], fixed_s)
-    assert [colors[name] for name in fixed_s] == [figures.horizon_color(horizon_s) for horizon_s in fixed_s.values()]
+    colors = style.planner_colors([*fixed_s, "fixed_0"], fixed_s)
+    assert [colors[name] for name in fixed_s] == [style.horizon_color(horizon_s) for horizon_s in fixed_s.values()]
     assert colors["fixed_0"] not in [colors[name] for name in fixed_s]
-    labels = [figures.planner_label(name, fixed_s).replace("\N{NO-BREAK SPACE}", "~") for name in (*fixed_s, "fixed_0")]
+    labels = [labels.planner_label(name, fixed_s).replace("\N{NO-BREAK SPACE}", "~") for name in (*fixed_s, "fixed_0")]
     assert labels == ["bold (0~s)", "fixed 2 (6~s)", "fixed 2.5~s", "random (4~s)", "fixed 0"]
 
 
@@ -133,7 +133,7 @@ def test_training_maps_show_each_part_on_the_same_axes(driven: pd.DataFrame) -> 
     for bar in maps[0].axes[0].patches:
         color = to_hex(bar.get_facecolor()).upper()
         heights[color] = heights.get(color, 0.0) - bar.get_height()
-    crashes = figures.OUTCOME_COLORS["collision"]
+    crashes = style.OUTCOME_COLORS["collision"]
     column = np.floor(first["social_start_distance_m"] / outcome_figures.BIN_M).astype(int)
     shares = first.groupby(["style_horizon_s", column])["is_collision"].mean()
     assert heights[crashes] == pytest.approx(0.76 * shares.sum())
@@ -143,7 +143,7 @@ def test_training_maps_show_each_part_on_the_same_axes(driven: pd.DataFrame) -> 
 
 def test_behaviour_draws_the_median_index_in_degrees(traces: list[Trace]) -> None:
     axis = figures.behaviour(traces, FIXED_S).axes[0]
-    adaptive = next(line for line in axis.lines if to_hex(line.get_color()) == figures.ADAPTIVE_COLOR.lower())
+    adaptive = next(line for line in axis.lines if to_hex(line.get_color()) == style.ADAPTIVE_COLOR.lower())
     psi = np.degrees(behaviour_index(traces[0]))
     n_drawn = len(adaptive.get_ydata())
     np.testing.assert_allclose(adaptive.get_ydata(), np.nanmedian(psi[:n_drawn], axis=1))
@@ -163,7 +163,7 @@ def test_space_time_colours_the_ego_by_its_horizon(traces: list[Trace]) -> None:
     for axis, trace in zip(figure.axes, traces[:5], strict=True):
         colors = [to_hex(color) for color in axis.collections[-1].get_colors()]
         horizon = trace.horizon_s[: trace.n_steps[0], 0, 0]
-        assert colors == [figures.horizon_color(value) for value in horizon]
+        assert colors == [style.horizon_color(value) for value in horizon]
         assert OUTCOMES[trace.outcome[0]] in axis.get_title(loc="left")
 
 

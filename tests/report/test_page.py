@@ -10,7 +10,7 @@ import yaml
 from measured import FIXED_S, measures, versus
 from pydantic import TypeAdapter, ValidationError
 
-from negopipe.evaluation.claims import Claim, Finding
+from negopipe.evaluation.hypothesis import Claim, Finding
 from negopipe.report.headlines import headlines
 from negopipe.report.page import (
     FigureItem,

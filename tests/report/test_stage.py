@@ -23,7 +23,7 @@ from negopipe.evaluation.episodes_file import EPISODES
 from negopipe.evaluation.metrics import summary
 from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
-from negopipe.report import figures
+from negopipe.report import labels
 from negopipe.report.page import ReportConfig
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
@@ -170,7 +170,7 @@ def test_any_planners_of_any_name_make_a_report(
     config.evaluation = SimpleNamespace(leading_setting=setting, fixed_horizons_s=fixed_s)
     report.run(config, run)
     page = (run.folder / "report.html").read_text()
-    labels = [figures.planner_label(name, fixed_s) for name, _ in planners.values()]
+    labels = [labels.planner_label(name, fixed_s) for name, _ in planners.values()]
     assert all(f"{label}</th>" in page for label in labels), labels
     claims = json.loads((run.folder / "claims.json").read_text())
     if setting != "push" or not fixed_s:

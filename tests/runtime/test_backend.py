@@ -8,7 +8,7 @@ import torch
 
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.game.environment import build_game
+from negopipe.game.game import build_game
 from negopipe.runtime import backend
 from negopipe.stages import evaluate
 

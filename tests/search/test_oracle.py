@@ -12,10 +12,11 @@ from games import draw_tasks
 from negopipe.agents.horizon_drivers import by_horizon, sequence_planner
 from negopipe.config.root import RunConfig
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.search import oracle
 from negopipe.search.oracle import Rollouts, Sequences, alike, best_simple, candidates, improve, n_switches, simplify
-from negopipe.simulation.state import Task, map_tensors
+from negopipe.simulation.state import Task
+from negopipe.tensors.tree import map_tensors
 
 
 @pytest.fixture(scope="module", autouse=True)

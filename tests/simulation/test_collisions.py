@@ -10,13 +10,14 @@ from torch import Tensor
 
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.simulation.collisions import GRAZE_M, CollisionCheck
 from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
 from negopipe.simulation.perception import other_columns
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import VehicleConfig
-from negopipe.simulation.state import EGO, VehicleState, World, map_tensors
+from negopipe.simulation.state import EGO, VehicleState, World
+from negopipe.tensors.tree import map_tensors
 
 COARSE = {
     dt: [f"scenario.dt_s={dt}", f"observation.frame_interval_s={dt}", f"perception.accel_window_s={dt}"]

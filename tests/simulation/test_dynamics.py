@@ -9,7 +9,7 @@ from games import draw_tasks
 
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import build_game
+from negopipe.game.game import build_game
 from negopipe.simulation.dynamics import Bicycle, BicycleConfig
 from negopipe.simulation.state import VehicleState
 

@@ -7,10 +7,11 @@ import torch
 from games import draw_tasks, place
 
 from negopipe.config.root import RunConfig
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.perception import PerceptionConfig, Sensor
-from negopipe.simulation.state import EGO, VehicleState, World, map_tensors
+from negopipe.simulation.state import EGO, VehicleState, World
+from negopipe.tensors.tree import map_tensors
 
 PERFECT = PerceptionConfig(0.0, 0.0, 0.0, 0.0, None, 0.0, 0.4)
 NOISY = PerceptionConfig(0.1, 0.02, 0.2, 0.1, 60.0, 0.4, 0.4)

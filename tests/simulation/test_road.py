@@ -9,7 +9,7 @@ import torch
 from pydantic import ValidationError
 
 from negopipe.config.root import RunConfig
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
 from negopipe.simulation.road import Road, RoadConfig, RouteState
 from negopipe.simulation.state import VehicleState

@@ -7,7 +7,7 @@ from games import draw_tasks
 from negopipe import CONF
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import TaskSampler

@@ -8,7 +8,7 @@ import torch
 from games import draw_tasks, place
 
 from negopipe.config.root import RunConfig
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.simulation.perception import other_columns
 from negopipe.simulation.state import VehicleState, World
 

@@ -9,7 +9,7 @@ import torch
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.game.environment import build_game
+from negopipe.game.game import build_game
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig, TaskSampler
 from negopipe.simulation.starts import check_starts
 

@@ -19,7 +19,7 @@ from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import episodes
 from negopipe.evaluation.safety import footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.report.map_figure import behaviour_map as draw
 from negopipe.report.map_figure import reading
 from negopipe.stages import behaviour_map

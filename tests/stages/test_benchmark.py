@@ -18,7 +18,7 @@ from negopipe.benchmark.workload import OVERLAP, Workload, decision_workload
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.stages import benchmark
 from negopipe.stages.benchmark import available, comparisons, measure_cell

@@ -11,7 +11,7 @@ from tracked import RecordedRun
 from negopipe.config.root import RunConfig, run_name
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.runtime.build import build, save_policy
 from negopipe.search import oracle as search
 from negopipe.search.oracle_table import read_oracle

@@ -11,7 +11,7 @@ from test_resume import SMALL, drive
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.game.environment import Game, build_game
+from negopipe.game.game import Game, build_game
 from negopipe.search import oracle
 from negopipe.simulation.state import EGO
 from negopipe.stages.evaluate import held_out_tasks

@@ -9,12 +9,13 @@ from torch import Tensor
 
 from negopipe.agents.baseline import Baseline
 from negopipe.agents.encounter import Encounter, encounter
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, Real, schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.simulator import Simulator
-from negopipe.simulation.state import Motion, map_tensors
+from negopipe.simulation.state import Motion
+from negopipe.tensors.tree import map_tensors
 
 FREE_M = 1e3
 """Gap of who has nothing ahead."""

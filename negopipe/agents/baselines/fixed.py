@@ -6,7 +6,7 @@ from torch import Tensor
 
 from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver, fixed_horizon
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.schema import NonNegativeFloat, schema
 
 

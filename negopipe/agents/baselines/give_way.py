@@ -11,7 +11,7 @@ from torch import Tensor
 from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver
 from negopipe.agents.encounter import encounter
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.schema import NonNegativeFloat, schema
 from negopipe.simulation.perception import Perception
 

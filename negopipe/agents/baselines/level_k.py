@@ -17,10 +17,11 @@ from torch import Tensor
 
 from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
 from negopipe.simulation.perception import Perception
-from negopipe.simulation.state import EGO, Task, VehicleState, World, map_tensors
+from negopipe.simulation.state import EGO, Task, VehicleState, World
+from negopipe.tensors.tree import map_tensors
 
 BEHIND_M = 100.0
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver
 from negopipe.agents.horizon_drivers import sequence_planner
-from negopipe.game.environment import Game
+from negopipe.game.game import Game
 from negopipe.schema import NonNegativeFloat, PositiveFloat, schema
 from negopipe.tensors.stateless_rng import mix
 

@@ -1,0 +1,182 @@
+"""Hypotheses about planners: the evidence, figures with their intervals, and what a figure says of a claim."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import groupby, pairwise, product
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from negopipe.evaluation.claims import Want
+from negopipe.evaluation.metrics import behaviour_index
+from negopipe.evaluation.names import FixedHorizons, in_words
+from negopipe.evaluation.statistics import (
+    Estimate,
+    mean_difference,
+    rate,
+)
+from negopipe.evaluation.trace import ADAPTIVE, Trace
+
+Verdict = Literal["holds", "does not hold", "undecided", "not tested"]
+
+
+RANDOM_SEED = 0
+"""Of the bootstrap: the same episodes give the same intervals."""
+
+
+PERCENT = (100.0, " %")
+
+
+SECONDS = (1.0, " s")
+
+
+PLAIN = (1.0, "")
+
+
+METRES = (1.0, " m")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A figure that bears on a claim, in the unit that `text` names.
+
+    low, high: bounds of its 95 % interval
+    verdict: of what the claim wants of this figure; None = it wants nothing of it
+    margin: how far `value` is on the wanted side, in its unit; NaN where nothing is wanted
+    """
+
+    text: str
+    value: float
+    low: float
+    high: float
+    verdict: Verdict | None = None
+    margin: float = np.nan
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim and what became of it.
+
+    number: as in docs/reading.md, "Claims of the paper"
+    words: the paper's
+    rule: when it holds
+    findings: what was measured; the claim holds if all hold of which it wants something
+    """
+
+    number: int
+    words: str
+    rule: str
+    findings: Sequence[Finding]
+
+    @property
+    def verdict(self) -> Verdict:
+        found = {finding.verdict for finding in self.findings} - {None}
+        for verdict in ("does not hold", "undecided", "holds"):
+            if verdict in found:
+                return verdict
+        return "not tested"
+
+    @property
+    def decisive(self) -> Finding | None:
+        """The figure to be shown beside the verdict: the clearest of those against the claim, else the closest."""
+        judged = [finding for finding in self.findings if finding.verdict == self.verdict]
+        return min(judged, key=lambda finding: finding.margin, default=None)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON, which knows no NaN."""
+        plain = {**asdict(self), "verdict": self.verdict, "decisive": self.decisive and self.decisive.text}
+        for finding in plain["findings"]:
+            finding |= {name: None for name, value in finding.items() if value != value}
+        return plain
+
+
+class Evidence:
+    """The episodes that the paper's claims are about, and comparisons of them."""
+
+    def __init__(self, table: pd.DataFrame, traces: Sequence[Trace], fixed_s: FixedHorizons) -> None:
+        self.rng = np.random.default_rng(RANDOM_SEED)
+        self.fixed_s = {name: fixed_s[name] for name in table["planner"].unique() if name in fixed_s}
+        self.fixed = sorted(self.fixed_s, key=self.fixed_s.__getitem__)
+        self.psi = {trace.family: behaviour_index(trace) for trace in traces if trace.planner == ADAPTIVE}
+        compared = table[table["planner"].isin([ADAPTIVE, *self.fixed])]
+        by_task = compared.groupby(["setting", "episode"])["planner"]
+        is_driven_by_all = by_task.transform("nunique") == 1 + len(self.fixed)  # some may have driven the first only
+        self._table = compared[is_driven_by_all].assign(is_first=compared["passes_first"] == "ego")
+
+    def has(self, *settings: str) -> bool:
+        """The policy and at least one fixed horizon drove the same tasks in all these settings."""
+        driven = set(self._table["setting"])
+        return bool(self.fixed) and all(setting in self.psi and setting in driven for setting in settings)
+
+    def label(self, planner: str) -> str:
+        return in_words(planner, self.fixed_s)
+
+    def measured(self, measure: str, *settings: str) -> pd.DataFrame:
+        """A row per task of the settings, a column per planner; NaN where a planner has no such figure."""
+        rows = self._table[self._table["setting"].isin(settings)]
+        return rows.pivot_table(measure, ["setting", "episode"], "planner", dropna=False)
+
+    def succeeds(self, setting: str) -> dict[str, Estimate]:
+        """Success rate of each planner."""
+        rows = self._table[self._table["setting"] == setting]
+        return {
+            p: rate((rows.loc[rows["planner"] == p, "outcome"] == "success").to_numpy())
+            for p in rows["planner"].unique()
+        }
+
+    def ahead(self, measure: str, setting: str) -> dict[str, Estimate]:
+        """The policy's measure less each fixed horizon's, on the tasks where both have one."""
+        values = self.measured(measure, setting)
+        return {
+            planner: mean_difference(both[ADAPTIVE].to_numpy(), both[planner].to_numpy(), self.rng)
+            for planner in self.fixed
+            if len(both := values[[ADAPTIVE, planner]].dropna())
+        }
+
+    def each(
+        self, want: Want, text: str, estimates: Mapping[str, Estimate], unit: tuple[float, str], **wanted: Any
+    ) -> list[Finding]:
+        """The same figure of several planners; `text` has {} for their names."""
+        return [want(text.format(self.label(planner)), e, unit, **wanted) for planner, e in estimates.items()]
+
+    def shorter_and_longer(self) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+        """Pairs of fixed horizons: the shortest with the longest, and each with the next longer one. Empty where all
+        are equal."""
+        levels = [list(names) for _, names in groupby(self.fixed, self.fixed_s.__getitem__)]
+        steps = [pair for level, longer in pairwise(levels) for pair in product(level, longer)]
+        ends = list(product(levels[0], levels[-1])) if len(levels) > 1 else []
+        return ends, steps
+
+
+def at_least(text: str, e: Estimate, unit: tuple[float, str], than: float = 0.0, strictly: bool = False) -> Finding:
+    """A figure of which the claim wants that it is at least `than`, or more than that.
+
+    It holds if the whole interval is on that side and does not if the whole interval is on the other.
+    """
+    is_shown = e.low > than if strictly else e.low >= than
+    is_refuted = e.high <= than if strictly else e.high < than
+    return _judged(finding(text, e, unit), is_shown, is_refuted, unit[0] * (e.value - than))
+
+
+def at_most(text: str, e: Estimate, unit: tuple[float, str], than: float = 0.0, strictly: bool = False) -> Finding:
+    """The same of `than` at most, or less than that."""
+    is_shown = e.high < than if strictly else e.high <= than
+    is_refuted = e.low >= than if strictly else e.low > than
+    return _judged(finding(text, e, unit), is_shown, is_refuted, unit[0] * (than - e.value))
+
+
+def _judged(finding: Finding, is_shown: bool, is_refuted: bool, margin: float) -> Finding:
+    verdict: Verdict = "holds" if is_shown else "does not hold" if is_refuted else "undecided"
+    return replace(finding, verdict=verdict, margin=margin)
+
+
+def finding(text: str, e: Estimate, unit: tuple[float, str]) -> Finding:
+    """A figure of which nothing is wanted."""
+    scale, name = unit
+    return Finding(text + (f" [{name.strip()}]" if name else ""), scale * e.value, scale * e.low, scale * e.high)
+
+
+def first_index(is_so: np.ndarray) -> np.ndarray:
+    """[T, E] -> [E], the first index that is true, the last one where none is."""
+    return np.where(is_so.any(0), is_so.argmax(0), len(is_so) - 1)

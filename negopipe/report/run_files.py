@@ -1,0 +1,72 @@
+"""What the report reads of a run folder, in the order in which it shows it."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from negopipe.errors import UserError
+from negopipe.evaluation.trace import ADAPTIVE, Trace
+
+if TYPE_CHECKING:
+    pass
+
+
+RESULTS = ("evaluation", "versus_adaptive", "regret")
+"""Parts of metrics.json that the page shows."""
+
+
+def read_metrics(folder: Path) -> dict[str, Any]:
+    path = folder / "metrics.json"
+    metrics = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    if not set(RESULTS) <= metrics.keys():
+        raise UserError(f"{path}: no results of an evaluation; run the stage `evaluate` first")
+    return metrics
+
+
+def pick(by_planner: Mapping[str, Any], planners: Sequence[str]) -> dict[str, Any]:
+    """In the order of the planners; JSON has sorted them."""
+    return {planner: by_planner[planner] for planner in planners if planner in by_planner}
+
+
+def in_order(table: pd.DataFrame, settings: list[str]) -> pd.DataFrame:
+    """The rows of the leading setting first, planners as they come."""
+    return pd.concat([table[table["setting"] == setting] for setting in settings], ignore_index=True)
+
+
+def by_setting(traces: list[Trace], settings: list[str], planners: Sequence[str]) -> dict[str, list[Trace]]:
+    """Traces of each setting; `planners` must be among them."""
+    grouped = {setting: [trace for trace in traces if trace.family == setting] for setting in settings}
+    for group in grouped.values():
+        named(group, planners)
+        _check_same_tasks(group)
+    return grouped
+
+
+def _check_same_tasks(group: list[Trace]) -> None:
+    """One episode number must be one task for all planners, as far as they drove: they are shown side by side."""
+    first = group[0]
+    for trace in group[1:]:
+        own, other = (each.first(min(len(trace.n_steps), len(first.n_steps))) for each in (trace, first))
+        is_same = np.array_equal(own.start_distance_m, other.start_distance_m) and np.array_equal(
+            own.style_horizon_s, other.style_horizon_s, equal_nan=True
+        )
+        if not is_same:
+            planners = f"{first.planner} and {trace.planner}"
+            raise UserError(f"traces.npz: {planners} drove different tasks in {first.family}; evaluate them anew")
+
+
+def adaptive_of(group: list[Trace]) -> Trace:
+    return named(group, [ADAPTIVE])[0]
+
+
+def named(group: list[Trace], planners: Sequence[str]) -> list[Trace]:
+    by_name = {trace.planner: trace for trace in group}
+    for planner in planners:
+        if planner not in by_name:
+            known = ", ".join(by_name) or "none"
+            raise UserError(f"the report shows planner {planner}, but traces.npz holds only: {known}")
+    return [by_name[planner] for planner in planners]

@@ -1,0 +1,112 @@
+"""Algorithm 1, one iteration at a time."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from torch import Tensor, nn
+
+from negopipe.game.environment import NegotiationEnv
+from negopipe.learning.curriculum import Curriculum
+from negopipe.learning.learner import Learner
+from negopipe.learning.rollout import RunningEpisodes, collect
+from negopipe.runtime.build import build, device_of, load_policy
+from negopipe.simulation.scenario import TaskSampler
+from negopipe.tensors.prefixes import add_prefix, strip_prefix
+from negopipe.tensors.seeding import generator
+from negopipe.tensors.tree import named_tensors, with_tensors
+from negopipe.tracking.checkpoint import find_checkpoint
+from negopipe.tracking.snapshots import Snapshots
+from negopipe.training.demonstration_search import demonstrations
+from negopipe.training.learning_curve import MEANS_OF_EPISODES, LearningCurve
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+from negopipe.stages.train import log
+
+
+class Training:
+    """Algorithm 1, one iteration at a time; its state can be taken and put back between iterations.
+
+    folder: where demonstrations are kept, so that nobody has to search for them twice
+    n_total, n_done: iterations of all stages together
+    is_at_stage_end: the iteration just done was the last of its stage
+    """
+
+    def __init__(self, config: "RunConfig", folder: Path | None = None) -> None:
+        device, algorithm = device_of(config), config.algorithm
+        self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)  # from here on time counts
+        game, self.policy = build(config)
+        if config.checkpoint is not None:
+            load_policy(find_checkpoint(config.checkpoint, config), self.policy, config)
+        shown = demonstrations(config, game, folder)
+        self.learner = Learner(self.policy, algorithm, generator(config.seed, "updates", device), shown)
+        tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
+        self.n_steps = algorithm.n_steps
+        self.curriculum, self._reward = Curriculum(config.curriculum), config.reward
+        scenario = config.curriculum.scenario(config.scenario)
+        self._samplers = [TaskSampler(scenario, stage.families, tasks) for stage in config.curriculum.stages]
+        horizons_s = config.policy.horizons_s
+        self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds)
+        self.running = RunningEpisodes.start(algorithm.n_worlds, device)
+        self.weights_before = _copy(self.policy)
+        self.is_at_stage_end = False
+
+    @property
+    def n_total(self) -> int:
+        return self.curriculum.n_total
+
+    @property
+    def n_done(self) -> int:
+        return len(self.curve)
+
+    def iterate(self) -> dict:
+        """Collect, update; returns the iteration's row of the learning curve."""
+        stage = self.curriculum.stage  # (K, D) of Algorithm 1
+        self.env.sampler = self._samplers[self.curriculum.index]  # T ~ D, a new one per episode
+        self.env.reward_config = self.curriculum.config.reward(stage, self._reward)
+        self.weights_before = _copy(self.policy)
+        rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
+        metrics = self.learner.update(rollout, self.n_done / self.n_total)
+        row = self.curve.add(stage.name, rollout, metrics)
+        is_over = self.curriculum.count(rollout.is_success[rollout.is_done].tolist())
+        self.is_at_stage_end = is_over or self.n_done == self.n_total
+        return row
+
+    def not_finite(self) -> list[str]:
+        """Measures of the last update and weights that have become NaN or infinite."""
+        measures = [(k, v) for k, v in self.curve.rows[-1].items() if k not in MEANS_OF_EPISODES]
+        wrong = [name for name, value in measures if isinstance(value, float) and not math.isfinite(value)]
+        return wrong + [name for name, weight in self.policy.state_dict().items() if not weight.isfinite().all()]
+
+    def save_to(self, snapshots: Snapshots) -> None:
+        """Write down all that the next iteration depends on."""
+        state = (
+            add_prefix("policy", self.policy.state_dict())
+            | add_prefix("learner", self.learner.state_dict())
+            | add_prefix("env", self.env.state_dict())
+            | add_prefix("running", named_tensors(self.running))
+            | add_prefix("episodes", self.curve.episodes)
+            | {"actions": self.actions.get_state()}
+        )
+        progress = {"curve": self.curve.state_dict(), "curriculum": self.curriculum.state_dict()}
+        snapshots.save(self.n_done, state, progress)
+
+    def resume(self, snapshots: Snapshots) -> None:
+        """Put the newest snapshot back, if there is one."""
+        newest = snapshots.newest()
+        if newest is None:
+            return
+        state, progress = newest
+        self.policy.load_state_dict(strip_prefix("policy", state))
+        self.learner.load_state_dict(strip_prefix("learner", state))
+        self.env.load_state_dict(strip_prefix("env", state))
+        self.running = with_tensors(self.running, strip_prefix("running", state))
+        self.actions.set_state(state["actions"])
+        self.curve.load_state_dict(progress["curve"], strip_prefix("episodes", state))
+        self.curriculum.load_state_dict(progress["curriculum"])
+        log.info(f"train      goes on after {self.n_done} of {self.n_total} iterations")
+
+
+def _copy(policy: nn.Module) -> dict[str, Tensor]:
+    return {name: weight.clone() for name, weight in policy.state_dict().items()}
