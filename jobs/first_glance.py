@@ -14,9 +14,9 @@ import numpy as np
 import torch
 
 from negopipe.envs.gymnasium import compose_config
+from negopipe.evaluation.horizon_text import from_text
 from negopipe.game.game import Game, build_game, has_compiler
 from negopipe.runtime.backend import keep_freed_memory
-from negopipe.search.horizon_text import from_text
 from negopipe.search.oracle import Rollouts
 from negopipe.search.oracle_table import read_oracle
 from negopipe.simulation.state import Task

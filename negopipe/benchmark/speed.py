@@ -4,7 +4,6 @@ import re
 import resource
 import statistics
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,6 +11,7 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field, model_validator
 
+from negopipe.runtime.timing import block_seconds
 from negopipe.schema import Distinct, PositiveInt, schema
 
 Backend = Literal["eager", "compiled", "cuda_eager", "cuda"]
@@ -53,16 +53,6 @@ def seconds_per_call(call: Callable[[], Any], config: BenchmarkConfig, device: t
     return statistics.median(blocks) / n_calls
 
 
-def block_seconds(call: Callable[[], Any], n_calls: int, device: torch.device) -> float:
-    """Time of `n_calls` calls, until the device has finished them, s."""
-    _finish(device)
-    start_s = time.perf_counter()
-    for _ in range(n_calls):
-        call()
-    _finish(device)
-    return time.perf_counter() - start_s
-
-
 def latency_percentiles_ms(
     call: Callable[[], Any], config: BenchmarkConfig, device: torch.device
 ) -> tuple[float, float]:
@@ -99,8 +89,3 @@ def peak_memory_mb(device: torch.device) -> float:
             return int(found[1]) * 1024 / 1e6
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
-
-
-def _finish(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)

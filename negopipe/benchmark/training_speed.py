@@ -8,15 +8,14 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
-from negopipe.benchmark.speed import block_seconds
 from negopipe.config.root import as_mapping
 from negopipe.runtime.build import device_of
 from negopipe.runtime.network_passes import iteration_passes
-from negopipe.stages.train import save_stage
+from negopipe.runtime.timing import block_seconds
 from negopipe.tracking.run_folder import SNAPSHOTS_NAME
 from negopipe.tracking.snapshots import Snapshots
 from negopipe.tracking.store import TrackedRun, open_run
-from negopipe.training.training import Training
+from negopipe.training.training import Training, save_stage
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig

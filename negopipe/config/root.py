@@ -16,11 +16,11 @@ from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE
+from negopipe.game.curriculum import CurriculumConfig
 from negopipe.game.game import CHUNKS
 from negopipe.game.reward import RewardConfig
 from negopipe.learning.acktr import AcktrConfig
 from negopipe.learning.acktr_adam import AcktrAdamConfig
-from negopipe.learning.curriculum import CurriculumConfig
 from negopipe.learning.learner import AlgorithmConfig
 from negopipe.observation.occupancy_grid import ObservationConfig
 from negopipe.planner.frenet import PlannerConfig

@@ -11,11 +11,7 @@ import pandas as pd
 from negopipe.evaluation.claims import Want
 from negopipe.evaluation.metrics import behaviour_index
 from negopipe.evaluation.names import FixedHorizons, in_words
-from negopipe.evaluation.statistics import (
-    Estimate,
-    mean_difference,
-    rate,
-)
+from negopipe.evaluation.statistics import Estimate, mean_difference, rate
 from negopipe.evaluation.trace import ADAPTIVE, Trace
 
 Verdict = Literal["holds", "does not hold", "undecided", "not tested"]

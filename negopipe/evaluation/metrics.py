@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from negopipe.evaluation.horizon_text import to_text
 from negopipe.evaluation.statistics import rate
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.search.horizon_text import to_text
 from negopipe.simulation.state import AT_REST_MPS, EGO, NEAREST
 
 MOVING_MPS = 0.5
@@ -35,7 +35,7 @@ def episodes(trace: Trace, corridor_length_m: float) -> pd.DataFrame:
     full_braking_count: decisions of the ego in which no feasible plan existed
     mean_horizon_s: mean prediction horizon of the ego; NaN for a driver without one
     passes_first: ego | social | none, whose centre left the corridor first
-    horizons: the ego's, decision by decision, as `negopipe.search.horizon_text` writes them
+    horizons: the ego's, decision by decision, as `negopipe.evaluation.horizon_text` writes them
     """
     suspend_count, suspend_time_s = suspensions(trace)
     time_s = np.where(trace.reached_step >= 0, trace.reached_step * trace.dt_s, np.nan)

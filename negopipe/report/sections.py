@@ -1,35 +1,48 @@
 """The sections of the report: which figures and films stand in each."""
 
-import shutil
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+import logging
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import pandas as pd
+
+from negopipe.evaluation.replay import PolicyTrace
+from negopipe.evaluation.trace import ADAPTIVE, Trace
+from negopipe.report.run_files import adaptive_of
+from negopipe.report.scene import Scene
+from negopipe.tracking.csv_file import read_csv
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+    from negopipe.tracking.store import TrackedRun
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 from matplotlib.figure import Figure
 
 from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, trends
 from negopipe.evaluation.names import FixedHorizons
-from negopipe.evaluation.replay import PolicyTrace
-from negopipe.evaluation.trace import ADAPTIVE, Trace
 from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.captions import NOT_TRAINED, WATCH, caption
 from negopipe.report.labels import planner_label, setting_label
 from negopipe.report.map_figure import behaviour_map as map_figure
 from negopipe.report.map_figure import reading as map_reading
 from negopipe.report.page import FigureItem, ReportConfig, Section
-from negopipe.report.run_files import adaptive_of, named
-from negopipe.report.scene import Scene
+from negopipe.report.run_files import named
 from negopipe.simulation.state import NEAREST
-from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
 from negopipe.training.learning_curve import HISTORY, TRAINING_EPISODES
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
-from negopipe.stages.report import DRAWN_OF_TRAINING, log
 
+log = logging.getLogger("negopipe")
+
+DRAWN_OF_TRAINING = ("decisions", "is_success", "is_collision", "social_start_distance_m", "style_horizon_s")
 N_TRAINING_MAPS, SLIDE_S = 10, 0.8
 """Parts that the training is shown in, and how long each is on screen."""
 

@@ -9,11 +9,11 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from negopipe.benchmark.speed import block_seconds
 from negopipe.policy.actor_critic import PolicyConfig, grid_actor_critic, recast
 from negopipe.runtime.backend import keep_choices, kept_choices
 from negopipe.runtime.build import device_of
 from negopipe.runtime.network_passes import forward_backward, minibatch_sizes, random_grids
+from negopipe.runtime.timing import block_seconds
 from negopipe.tensors.seeding import generator
 
 if TYPE_CHECKING:

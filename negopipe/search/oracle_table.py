@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from negopipe.errors import UserError
+from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.replay import replay
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.game.game import Game
-from negopipe.search.horizon_text import from_text
 from negopipe.simulation.state import EGO, NEAREST, Task
 from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import CsvKind, read_csv

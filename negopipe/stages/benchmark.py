@@ -25,7 +25,6 @@ from negopipe.agents.driver import HorizonDriver
 from negopipe.agents.horizon_drivers import adaptive_planner
 from negopipe.benchmark.speed import (
     Backend,
-    block_seconds,
     copy_gb_per_s,
     latency_percentiles_ms,
     matmul_gflops,
@@ -40,6 +39,7 @@ from negopipe.game.game import Game, build_game, has_compiler
 from negopipe.policy.actor_critic import grid_actor_critic
 from negopipe.runtime.backend import prepare
 from negopipe.runtime.progress import ProgressLine
+from negopipe.runtime.timing import block_seconds
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO
 from negopipe.tensors.seeding import generator

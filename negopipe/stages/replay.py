@@ -9,12 +9,12 @@ import pandas as pd
 
 from negopipe.errors import UserError
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
+from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.replay import PolicyTrace, record_policy, replay
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
 from negopipe.game.game import Game
 from negopipe.report import animation
 from negopipe.runtime.build import build, load_policy
-from negopipe.search.horizon_text import from_text
 from negopipe.simulation.state import Task
 from negopipe.stages.evaluate import checkpoint_of, drive_baseline, held_out_tasks, measure
 from negopipe.stages.report import make_scene

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
-DRAWN_OF_TRAINING = ("decisions", "is_success", "is_collision", "social_start_distance_m", "style_horizon_s")
 N_TABLED = 100
 """Episodes of each planner and setting in the store's table, which is for looking through; episodes.csv has all."""
 

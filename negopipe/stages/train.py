@@ -10,9 +10,9 @@ from negopipe.runtime.build import save_policy
 from negopipe.runtime.interruption import DeferredInterrupt
 from negopipe.runtime.progress import ProgressLine
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
-from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME, HISTORY_NAME, SNAPSHOTS_NAME, TRAINING_EPISODES_NAME
+from negopipe.tracking.run_folder import SNAPSHOTS_NAME
 from negopipe.tracking.snapshots import Snapshots
-from negopipe.training.training import Training
+from negopipe.training.training import Training, save_stage
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
@@ -50,19 +50,6 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
             interrupt.raise_if_requested()
     tracked.update_metrics_json({"train": training.curve.summary()})
     snapshots.remove()
-
-
-def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> None:
-    """Keep what a finished stage has reached."""
-    curve = training.curve
-    row = curve.rows[-1]
-    curve.write(run.folder)
-    for name in (HISTORY_NAME, TRAINING_EPISODES_NAME, DEMONSTRATIONS_NAME):
-        if (run.folder / name).is_file():
-            run.log_artifact(run.folder / name)
-    save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, row["decisions"])
-    is_final = training.n_done == training.n_total
-    run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row), is_final)
 
 
 def _stop_at_last_good(config: "RunConfig", run: "TrackedRun", training: Training) -> NoReturn:

@@ -12,10 +12,10 @@ import pandas as pd
 import torch
 from torch import Tensor
 
+from negopipe.evaluation.horizon_text import from_text, to_text
 from negopipe.game.game import Game
 from negopipe.learning.demonstrations import Demonstrations, DemonstrationsConfig
 from negopipe.runtime.progress import ProgressLine
-from negopipe.search.horizon_text import from_text, to_text
 from negopipe.search.oracle import Rollouts, Sequences, best_simple, improve, simplify
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task

@@ -1,13 +1,25 @@
 """Algorithm 1, one iteration at a time."""
 
+import logging
+from typing import TYPE_CHECKING
+
+from negopipe.runtime.build import save_policy
+from negopipe.tracking.checkpoint import CHECKPOINT_NAME
+from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME, HISTORY_NAME, TRAINING_EPISODES_NAME
+from negopipe.tracking.snapshots import Snapshots
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+    from negopipe.tracking.store import TrackedRun
+
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torch import Tensor, nn
 
+from negopipe.game.curriculum import Curriculum
 from negopipe.game.environment import NegotiationEnv
-from negopipe.learning.curriculum import Curriculum
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import RunningEpisodes, collect
 from negopipe.runtime.build import build, device_of, load_policy
@@ -16,13 +28,13 @@ from negopipe.tensors.prefixes import add_prefix, strip_prefix
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.tree import named_tensors, with_tensors
 from negopipe.tracking.checkpoint import find_checkpoint
-from negopipe.tracking.snapshots import Snapshots
 from negopipe.training.demonstration_search import demonstrations
 from negopipe.training.learning_curve import MEANS_OF_EPISODES, LearningCurve
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
-from negopipe.stages.train import log
+
+log = logging.getLogger("negopipe")
 
 
 class Training:
@@ -110,3 +122,16 @@ class Training:
 
 def _copy(policy: nn.Module) -> dict[str, Tensor]:
     return {name: weight.clone() for name, weight in policy.state_dict().items()}
+
+
+def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> None:
+    """Keep what a finished stage has reached."""
+    curve = training.curve
+    row = curve.rows[-1]
+    curve.write(run.folder)
+    for name in (HISTORY_NAME, TRAINING_EPISODES_NAME, DEMONSTRATIONS_NAME):
+        if (run.folder / name).is_file():
+            run.log_artifact(run.folder / name)
+    save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, row["decisions"])
+    is_final = training.n_done == training.n_total
+    run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row), is_final)

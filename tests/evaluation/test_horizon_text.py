@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from negopipe.errors import UserError
-from negopipe.search.horizon_text import from_text, to_text
+from negopipe.evaluation.horizon_text import from_text, to_text
 
 
 def test_there_and_back() -> None:

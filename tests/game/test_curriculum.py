@@ -3,14 +3,8 @@
 import pytest
 from games import MIXTURE
 
+from negopipe.game.curriculum import AdvanceConfig, Curriculum, CurriculumConfig, CurriculumStageConfig, StartsConfig
 from negopipe.game.reward import RewardConfig
-from negopipe.learning.curriculum import (
-    AdvanceConfig,
-    Curriculum,
-    CurriculumConfig,
-    CurriculumStageConfig,
-    StartsConfig,
-)
 
 STAGES = tuple(CurriculumStageConfig(name, n, MIXTURE) for name, n in (("a", 2), ("b", 3), ("c", 1)))
 STARTS = StartsConfig(ego_start_distance_m=(13.0, 14.0), start_speed_mps=(4.0, 5.0))
