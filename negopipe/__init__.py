@@ -1,30 +1,30 @@
 """negopipe: train, evaluate and show a driving policy that negotiates narrow passages.
 
-The map, from the bottom up (a part imports only what stands above it here):
+The map, lowest first: a package imports only what stands above it here, and itself.
 
-    schema, errors, seeding   how configs are declared, the user's errors, random streams
-    torch_settings            torch's process-wide settings, for as long as a call lasts
-    environment               environment variables and the user's home, for code and for conf/
-    simulation/   state, geometry, reference_line, verge, road, scenario (tasks), perception,
-                  dynamics, simulator
-    planner/      polynomials, longitudinal and lateral candidates, prediction, frenet (the choice)
-    observation/  occupancy grids          reward   Eq. 3
-    driver        who drives a vehicle     policy/  the network
-    learning/     rollout, advantage, curriculum, demonstrations, update (what algorithms share), learner; acktr and
-                  acktr_adam (with kfac), a2c and ppo (with adam): tensors only, nothing of the simulator
-    chunks, env   the game as batched worlds for the learner
-    evaluation/   drives held-out tasks: planners, baselines (whom the policy is compared with), episodes, trace,
-                  replay;
-                  metrics, safety; statistics over tasks and seeds, comparison, claims of the paper
-    report/       figures, animation, headlines, tables, page
-    tracking/     what a run tells a store: journal -> delivery -> MLflow; checkpoints, snapshots, tables as files
-                  (csv_file), the policies that come with negopipe
-    stages/       train, evaluate, report, replay, behaviour_map, oracle, benchmark: each a function of config and run;
-                  what is stopped goes on from its last snapshot
-    config        RunConfig, the root schema   identity   which results are the same
-    compose       the RunConfig of a command line, in any process
-    sweeping/     a sweep's objective, Optuna search, summary, results over seeds, learning curves
-    __main__      the command line             gym_env, sb3_adapter    doors of gymnasium and Stable-Baselines3
+    errors        the error that is the user's to mend
+    environment   environment variables and the user's home
+    schema        how a component declares its configuration
+    tensors       batched tensors without anything of driving: trees, chunks, random streams, settings of torch
+    policy        the network
+    learning      ACKTR, PPO and A2C: rollout, advantage, update, K-FAC; tensors only
+    simulation    the rules of the game: state, geometry, street, tasks, perception, dynamics, collisions, simulator
+    planner       Frenet candidates, prediction of the others, the choice
+    observation   occupancy grids
+    game          one decision, the reward, task distributions by stages, batched worlds for a learner
+    agents        who drives: horizon drivers and the baselines that the policy is compared with
+    tracking      a run's folder, checkpoints, CSV files, the store; sync: journal -> delivery -> MLflow
+    evaluation    held-out tasks driven and recorded: episodes, metrics, safety, statistics, claims of the paper, replay
+    search        the oracle: the best sequence of horizons, found with full knowledge of a task
+    report        figures, films, tables, headlines, the page
+    config        the root config: composed, checked, frozen
+    runtime       how a process runs: device, compiler, threads, workers, interruption, which results are the same
+    training      Algorithm 1: the loop, its record, demonstrations, reuse
+    benchmark     speed of simulator, planner and training, and what bounds it
+    sweeping      a sweep's objective, Optuna search, what came of many runs
+    stages        train, evaluate, report, replay, behaviour_map, oracle, benchmark: each a function of config and run
+    envs          doors for other people's code: gymnasium, Stable-Baselines3
+    __main__      the command line
 
 One decision (E worlds, V vehicles)
     action [E] -> horizon [E, V] (ego from the action, social from its style) -> perceive -> predict

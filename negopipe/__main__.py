@@ -18,7 +18,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -31,9 +31,13 @@ from yaml import YAMLError
 
 from negopipe import CONF, environment
 from negopipe.config import hydra_targets
-from negopipe.config.messages import LONGEST_LINE, abbreviate, explain_composition, misread
-from negopipe.errors import UserError
+from negopipe.config.messages import LONGEST_LINE, explain_composition, misread
+from negopipe.errors import UserError, abbreviate
 from negopipe.sweeping import optuna_sweeper
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+    from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")
 
@@ -107,19 +111,13 @@ def run_stages(composed: DictConfig) -> float | None:
     from negopipe.runtime.identity import source_hash, stage_key
     from negopipe.sweeping.objective import objective
     from negopipe.tracking.checkpoint import find_checkpoint
-    from negopipe.tracking.dashboard import command_for
     from negopipe.tracking.metrics_file import read
     from negopipe.tracking.run_folder import METRICS_NAME
     from negopipe.tracking.store import open_run
     from negopipe.training.reuse import take_over_training
 
-    if HydraConfig.get().job.chdir:
-        raise UserError(
-            "hydra.job.chdir must be false, got true: relative paths are relative to where the command is given"
-        )
     config = load(composed, HydraConfig.get().overrides.task)
-    if problem := misread(str(Path(config.outputs).absolute()), "outputs"):  # this folder's own name, it may be
-        raise UserError(problem)
+    _check_places(config)
     # all code is loaded now, so that what is edited during a long run does not end up in it
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
@@ -150,12 +148,29 @@ def run_stages(composed: DictConfig) -> float | None:
             run.mark_finished(name, key)
         if run.has_begun:
             run.compare(config.objective, RESULT_NEUTRAL)
+    _say_where(config, run)
+    return objective(read(run.folder / METRICS_NAME), config.objective)
+
+
+def _check_places(config: "RunConfig") -> None:
+    """UserError where the run would write elsewhere than it is told, or into a folder whose name is no text."""
+    if HydraConfig.get().job.chdir:
+        raise UserError(
+            "hydra.job.chdir must be false, got true: relative paths are relative to where the command is given"
+        )
+    if problem := misread(str(Path(config.outputs).absolute()), "outputs"):  # this folder's own name, it may be
+        raise UserError(problem)
+
+
+def _say_where(config: "RunConfig", run: "TrackedRun") -> None:
+    """Where the results and the dashboard are."""
+    from negopipe.tracking.dashboard import command_for
+
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
         if (run.folder / file_name).exists():
             log.info("%-10s %s", label, _from_here(run.folder / file_name))
     how = command_for(Path(config.outputs), config.tracking.uri)
     log.info(f"dashboard  {', then '.join(filter(None, [how, run.charts]))}")
-    return objective(read(run.folder / METRICS_NAME), config.objective)
 
 
 def _tags(name: str) -> dict[str, str]:

@@ -1,4 +1,10 @@
-"""The one kind of error that is the user's to mend."""
+"""The one kind of error that is the user's to mend, and how a line shows a value."""
+
+import json
+from typing import Any
+
+LONGEST_VALUE = 100
+"""Characters. What is longer is cut."""
 
 
 class UserError(Exception):
@@ -6,3 +12,10 @@ class UserError(Exception):
 
     `python -m negopipe` prints it without a traceback and exits with code 1.
     """
+
+
+def abbreviate(value: Any, longest: int = LONGEST_VALUE) -> str:
+    """A value as a line shows it: control characters escaped, cut where it is long."""
+    text = value if isinstance(value, str) and value else json.dumps(value)
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."

@@ -1,6 +1,7 @@
-"""The floors of the package: imports go downward only, so a part can be read without those above it."""
+"""The map in the package's docstring is true: every part stands in it, and imports go to what stands above it there."""
 
 import ast
+import re
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -10,70 +11,48 @@ import negopipe
 
 PACKAGE = Path(negopipe.__file__).parent
 
-FLOORS = (
-    (
-        "errors",
-        "environment",
-        "schema",
-        "config_errors",
-        "hydra_targets",
-        "seeding",
-        "stored",
-        "nested",
-        "torch_settings",
-    ),
-    ("simulation.state", "simulation.geometry", "tensors.stateless_rng"),
-    ("simulation.reference_line", "simulation.off_road"),
-    (
-        "simulation.road",
-        "simulation.scenario",
-        "simulation.perception",
-        "simulation.dynamics",
-        "planner",
-        "observation",
-        "reward",
-    ),
-    ("simulation.collisions",),
-    ("simulation.simulator", "simulation.starts"),
-    ("chunks",),
-    ("driver", "env", "learning.curriculum"),
-    ("evaluation", "report", "tracking"),
-    ("config", "identity"),
-    ("compose",),
-    ("stages", "gym_env", "sb3_adapter", "sweeping"),
-    ("__main__",),
-)
-"""Lowest first; a name stands for a module or for a package and all in it. A floor may import itself."""
+LOWER = {"benchmark.speed": "search"}
+"""Modules that stand lower than their package, beside another: the root config holds the benchmark's options."""
 
-LEARNER = ("policy", "learning")
-"""Beside the floors, but for what FLOORS names of them: they see tensors, and import only each other and the
-lowest floor."""
+APART = {
+    ("policy", "learning"): {"errors", "schema", "tensors", "policy", "learning"},
+    ("simulation", "planner", "observation"): {"policy", "learning"},
+}
+"""The learner sees tensors only (all that it may import); the game's rules know nothing of it (what they may not)."""
 
 FILES = sorted(path.relative_to(PACKAGE).with_suffix("") for path in PACKAGE.rglob("*.py"))
-NAMES = [".".join(path.parts).removesuffix("__init__").rstrip(".") for path in FILES]
+NAMES = [name for path in FILES if (name := ".".join(path.parts).removesuffix("__init__").rstrip("."))]
+MAP = re.findall(r"^    (\w+) {2,}\S", (negopipe.__doc__ or "").partition("One decision")[0], flags=re.MULTILINE)
+"""The parts of the package in the order of the map, lowest first."""
 
 
-def belongs(module: str, place: str) -> bool:
-    return module == place or module.startswith(f"{place}.")
+def part_of(module: str) -> str:
+    return module.partition(".")[0]
 
 
-def floor_of(module: str) -> int | None:
-    """Height of a module; None beside the floors."""
-    heights = [height for height, places in enumerate(FLOORS) if any(belongs(module, p) for p in places)]
-    assert len(heights) <= 1, f"{module} stands on two floors"
-    return heights[0] if heights else None
-
-
-def is_learner(module: str) -> bool:
-    return floor_of(module) is None and any(belongs(module, place) for place in LEARNER)
+def height(module: str) -> float:
+    """Of a module in the map."""
+    return MAP.index(LOWER[module]) if module in LOWER else MAP.index(part_of(module))
 
 
 def imports_of(name: str) -> set[str]:
-    """Modules of the package that a module imports anywhere, named without the leading `negopipe.`"""
+    """Modules of the package that a module imports when it runs, named without the leading `negopipe.`.
+
+    What is imported for types alone does not count.
+    """
     path = PACKAGE / name.replace(".", "/")
     source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    tree = ast.parse(source.read_text(encoding="utf-8"))
+    for_types = {
+        child
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for child in ast.walk(node)
+    }
     imported: set[str] = set()
-    for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree):
+        if node in for_types:
+            continue
         if isinstance(node, ast.Import):
             imported |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -84,25 +63,39 @@ def imports_of(name: str) -> set[str]:
     return {module.removeprefix("negopipe.") for module in imported if module.startswith("negopipe.")}
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name])
-def test_imports_go_downward(name: str) -> None:
-    imported = imports_of(name)
-    if is_learner(name):
-        assert not {m for m in imported if not is_learner(m) and floor_of(m) != 0}
-        return
-    height = floor_of(name)
-    if height is None:  # the __init__ of a package that spans floors
-        assert not imported, f"{name} stands on no floor: give it one in FLOORS"
-        return
-    assert not {m for m in imported if not is_learner(m) and (floor_of(m) or 0) > height}
-    if any(is_learner(m) for m in imported):
-        assert height >= (floor_of("env") or 0), "the simulator knows nothing of the learner"
+def test_the_map_names_every_part_once() -> None:
+    assert sorted(MAP) == sorted({part_of(name) for name in NAMES})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_imports_go_to_what_stands_above_in_the_map(name: str) -> None:
+    upward = {m for m in imports_of(name) if part_of(m) != part_of(name) and height(m) >= height(name)}
+    assert not upward
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_learner_and_the_rules_of_the_game_do_not_know_each_other(name: str) -> None:
+    (learner, may_import), (rules, may_not_import) = APART.items()
+    parts = {part_of(module) for module in imports_of(name)}
+    if part_of(name) in learner:
+        assert parts <= may_import
+    if part_of(name) in rules:
+        assert not parts & may_not_import
 
 
 def test_there_are_no_circles() -> None:
     assert len(list(TopologicalSorter({name: imports_of(name) for name in NAMES}).static_order())) >= len(NAMES)
 
 
-def test_every_floor_exists() -> None:
-    places = [place for floor in FLOORS for place in floor] + list(LEARNER)
-    assert not [place for place in places if place not in NAMES]
+def test_stages_holds_stages_only() -> None:
+    stages = [name for name in NAMES if name.startswith("stages.")]
+    without_run = [s for s in stages if "def run(config" not in (PACKAGE / f"{s.replace('.', '/')}.py").read_text()]
+    assert not without_run
+
+
+@pytest.mark.parametrize("path", [PACKAGE / f"{path}.py" for path in map(str, FILES)], ids=lambda p: p.stem)
+def test_files_and_functions_are_short(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert text.count("\n") <= 400
+    functions = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    assert not [n.name for n in functions if (n.end_lineno or 0) - n.lineno >= 50]

@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field, model_validator
 
-from negopipe.runtime.timing import block_seconds
 from negopipe.schema import Distinct, PositiveInt, schema
+from negopipe.tensors.timing import block_seconds
 
 Backend = Literal["eager", "compiled", "cuda_eager", "cuda"]
 

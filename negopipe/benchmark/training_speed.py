@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from negopipe.config.root import as_mapping
 from negopipe.runtime.build import device_of
 from negopipe.runtime.network_passes import iteration_passes
-from negopipe.runtime.timing import block_seconds
+from negopipe.tensors.timing import block_seconds
 from negopipe.tracking.run_folder import SNAPSHOTS_NAME
 from negopipe.tracking.snapshots import Snapshots
 from negopipe.tracking.store import TrackedRun, open_run

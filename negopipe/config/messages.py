@@ -27,21 +27,15 @@ from omegaconf.errors import (
 )
 from pydantic import ValidationError
 
+from negopipe.errors import abbreviate
+
 LONGEST_LINE = 400
-LONGEST_VALUE = 100
 """Characters. What is longer is cut: a line that fills the terminal tells less."""
 
 LONGEST_HINT = 200
 """A hint is whole or not there."""
 
 _AMBIGUOUS = re.compile(r"Ambiguous value for argument '(.*?)'\n1\. ", flags=re.DOTALL)
-
-
-def abbreviate(value: Any, longest: int = LONGEST_VALUE) -> str:
-    """A value as a line shows it: control characters escaped, cut where it is long."""
-    text = value if isinstance(value, str) and value else json.dumps(value)
-    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-    return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
 def as_text(override: str) -> str | None:

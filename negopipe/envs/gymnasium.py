@@ -24,9 +24,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from negopipe.config.compose import compose_config
-from negopipe.config.messages import abbreviate
 from negopipe.config.root import RunConfig
-from negopipe.errors import UserError
+from negopipe.errors import UserError, abbreviate
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import build_game
 from negopipe.learning.rollout import Transition

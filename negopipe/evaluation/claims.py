@@ -42,10 +42,6 @@ CLEAR_RAD = np.radians(5.0)
 """From here on psi counts as positive or negative: both vehicles start with it at zero."""
 
 
-Want = Callable[..., Finding]
-"""What a claim wants of a figure: `at_least` or `at_most`."""
-
-
 def judge_claims(table: pd.DataFrame, traces: Sequence[Trace], fixed_s: FixedHorizons) -> list[Claim]:
     """All ten claims.
 

@@ -1,6 +1,6 @@
 """Hypotheses about planners: the evidence, figures with their intervals, and what a figure says of a claim."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby, pairwise, product
 from typing import Any, Literal
@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from negopipe.evaluation.claims import Want
 from negopipe.evaluation.metrics import behaviour_index
 from negopipe.evaluation.names import FixedHorizons, in_words
 from negopipe.evaluation.statistics import Estimate, mean_difference, rate
@@ -85,6 +84,10 @@ class Claim:
         for finding in plain["findings"]:
             finding |= {name: None for name, value in finding.items() if value != value}
         return plain
+
+
+Want = Callable[..., Finding]
+"""What a claim wants of a figure: `at_least` or `at_most`."""
 
 
 class Evidence:

@@ -34,7 +34,7 @@ from negopipe.report.page import FigureItem, ReportConfig, Section
 from negopipe.report.run_files import named
 from negopipe.simulation.state import NEAREST
 from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
-from negopipe.training.learning_curve import HISTORY, TRAINING_EPISODES
+from negopipe.tracking.training_files import HISTORY, TRAINING_EPISODES
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig

@@ -13,8 +13,8 @@ from negopipe.policy.actor_critic import PolicyConfig, grid_actor_critic, recast
 from negopipe.runtime.backend import keep_choices, kept_choices
 from negopipe.runtime.build import device_of
 from negopipe.runtime.network_passes import forward_backward, minibatch_sizes, random_grids
-from negopipe.runtime.timing import block_seconds
 from negopipe.tensors.seeding import generator
+from negopipe.tensors.timing import block_seconds
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig

@@ -39,10 +39,10 @@ from negopipe.game.game import Game, build_game, has_compiler
 from negopipe.policy.actor_critic import grid_actor_critic
 from negopipe.runtime.backend import prepare
 from negopipe.runtime.progress import ProgressLine
-from negopipe.runtime.timing import block_seconds
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO
 from negopipe.tensors.seeding import generator
+from negopipe.tensors.timing import block_seconds
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig

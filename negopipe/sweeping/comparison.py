@@ -24,7 +24,7 @@ from negopipe.sweeping.seeds import across_seeds, by_seed, read_tables
 from negopipe.sweeping.swept_runs import SweptRun, differing_keys, read_runs
 from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.run_folder import CONFIG_NAME, HISTORY_NAME
-from negopipe.training.learning_curve import HISTORY
+from negopipe.tracking.training_files import HISTORY
 
 NOT_COMPARED = ("evaluation.baselines", "evaluation/baseline", "evaluation.oracle")
 """Beginnings of keys and overrides that change nothing about a policy."""

@@ -21,7 +21,7 @@ from negopipe.report.style import OTHER_COLORS, QUIET, styled
 from negopipe.sweeping.swept_runs import SweptRun, read_runs
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.tracking.run_folder import HISTORY_NAME
-from negopipe.training.learning_curve import HISTORY
+from negopipe.tracking.training_files import HISTORY
 
 COLORS = ("#00A0A0", "#E09000", "#1B1B4B", "#D64550", *OTHER_COLORS)
 MEASURES = {"success_rate": "success rate", "return_mean": "return"}

@@ -10,8 +10,7 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
-from negopipe.config.messages import abbreviate
-from negopipe.errors import UserError
+from negopipe.errors import UserError, abbreviate
 from negopipe.tracking.database import follow_move, is_served, sqlite_file, store_lock, without_password
 from negopipe.tracking.sqlite import address, open_read_only
 from negopipe.tracking.sync.saved_view import TAG, VIEW

@@ -13,9 +13,8 @@ from urllib.parse import unquote
 
 from filelock import FileLock
 
-from negopipe.config.messages import abbreviate
 from negopipe.environment import default, variable
-from negopipe.errors import UserError
+from negopipe.errors import UserError, abbreviate
 from negopipe.tracking.sqlite import address, check_path, file_of, is_address, open_read_only
 
 if TYPE_CHECKING:

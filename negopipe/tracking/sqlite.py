@@ -6,9 +6,8 @@ import sys
 from pathlib import Path
 from urllib.parse import unquote
 
-from negopipe.config.messages import abbreviate
 from negopipe.environment import expanded
-from negopipe.errors import UserError
+from negopipe.errors import UserError, abbreviate
 
 LONGEST_PATH = 504
 """Bytes of a database's absolute path without symbolic links, measured: SQLite opens no longer one."""

@@ -11,21 +11,15 @@ import torch
 from torch import Tensor
 
 from negopipe.learning.rollout import Rollout
-from negopipe.tracking.csv_file import CsvKind, write_csv
+from negopipe.tracking.csv_file import write_csv
 from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
+from negopipe.tracking.training_files import HISTORY, TRAINING_EPISODES
 
 N_RECENT_EPISODES = 200
 """Episodes that the success rate and mean return of the learning curves are taken over."""
 
 MEANS_OF_EPISODES = {"success_rate": "is_success", "collision_rate": "is_collision", "return_mean": "return"}
 """Of a row of the learning curve: NaN until an episode has ended; the episodes' column that each is the mean of."""
-
-HISTORY = CsvKind("the stage `train`", {"decisions": int, "stage": str, "*": float})
-"""history.csv: a row per iteration; what an algorithm tells of its updates stands among the numbers."""
-TRAINING_EPISODES = CsvKind(
-    "the stage `train`", {"decisions": int, "is_success": int, "is_collision": int, "*": float}, float_format="%.6g"
-)
-"""training_episodes.csv: a row per episode, `LearningCurve.episodes`."""
 
 
 class LearningCurve:

@@ -10,8 +10,8 @@ from negopipe.tracking.csv_file import read_csv
 from negopipe.tracking.metrics_file import read
 from negopipe.tracking.record import RECORD_NAME, read_record
 from negopipe.tracking.run_folder import HISTORY_NAME, METRICS_NAME, TRAINING_EPISODES_NAME
+from negopipe.tracking.training_files import HISTORY
 from negopipe.tracking.whole_file import write_whole
-from negopipe.training.learning_curve import HISTORY
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig

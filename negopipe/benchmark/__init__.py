@@ -1,0 +1,1 @@
+"""Speed of the simulator, the planner and the training, and what bounds it."""

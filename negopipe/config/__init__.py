@@ -1,0 +1,1 @@
+"""The root config: composed by Hydra, checked and frozen; one line for whatever is wrong."""

@@ -1,0 +1,1 @@
+"""Doors for other people's code: gymnasium and Stable-Baselines3."""

@@ -1,0 +1,1 @@
+"""How a process runs: device, compiler, threads, workers, interruption, progress, which results are the same."""

@@ -1,0 +1,1 @@
+"""Batched tensors without anything of driving: trees, chunks, random streams, settings of torch."""

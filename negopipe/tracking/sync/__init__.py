@@ -1,0 +1,1 @@
+"""What a run has to tell a store: journal -> delivery -> MLflow."""
