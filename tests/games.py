@@ -5,6 +5,7 @@ from dataclasses import replace
 import torch
 
 from negopipe.config.root import RunConfig
+from negopipe.game.game import Game
 from negopipe.simulation.scenario import FamilyConfig, TaskSampler
 from negopipe.simulation.state import Task, VehicleState, World
 from negopipe.tensors.tree import map_tensors
@@ -21,6 +22,20 @@ def place(world: World, vehicles: VehicleState) -> World:
         reference=map_tensors(torch.clone, vehicles),
         pose_history=pose[:, None].expand_as(world.pose_history).contiguous(),
         speed_history=vehicles.speed[:, None].expand_as(world.speed_history).contiguous(),
+    )
+
+
+def pass_through(game: Game, world: World, wanted: VehicleState) -> World:
+    """The world one step later, in which vehicles drive on through each other, for tests of motion alone."""
+    moved, _ = game.simulator.step(world, wanted)
+    pose = torch.cat([wanted.position, wanted.yaw[..., None]], dim=-1)
+    return replace(
+        moved,
+        vehicles=wanted,
+        reference=wanted,
+        has_collided=torch.zeros_like(moved.has_collided),
+        pose_history=torch.cat([pose[:, None], moved.pose_history[:, 1:]], dim=1),
+        speed_history=torch.cat([wanted.speed[:, None], moved.speed_history[:, 1:]], dim=1),
     )
 
 

@@ -112,13 +112,13 @@ def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: f
 
 def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:
     """Whatever it is called."""
-    short = ["kind=fixed", "n_episodes=null", "horizon_s=1.5"]
+    short = ["kind=fixed", "n_episodes=null", "horizon_s=1.6"]
     overrides = [f"+evaluation.baselines.random_short.{value}" for value in short]
     evaluation = compose_config(
         ["evaluation/baseline=[fixed_6,cautious]", "report.side_by_side=[]", *overrides]
     ).evaluation
     assert list(evaluation.baselines) == ["fixed_6", "cautious", "random_short"]
-    assert evaluation.fixed_horizons_s == {"fixed_6": 6.0, "random_short": 1.5}
+    assert evaluation.fixed_horizons_s == {"fixed_6": 6.0, "random_short": 1.6}
 
 
 def test_only_horizons_that_a_baseline_names_are_used(

@@ -1,6 +1,7 @@
 """conf/ composes and builds, wrong values are named in one line, run names change with the result only."""
 
 import dataclasses
+import os
 import re
 import shlex
 from pathlib import Path
@@ -226,7 +227,7 @@ def test_what_is_said_of_a_text_is_read_as_that_text(text: str) -> None:
     suggested = as_text(f"outputs={text}")
     assert suggested is not None
     (word,) = shlex.split(suggested)
-    assert build(word).outputs == text
+    assert build(word).outputs == os.path.expanduser(text)
 
 
 @pytest.mark.parametrize("override", ["seed=[1", "outputs='a", "x y=3", "name", "name=", f"name={'=' * 300}"])

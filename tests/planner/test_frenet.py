@@ -47,12 +47,13 @@ def test_executed_motion_keeps_the_limits(config: RunConfig, game: Game, drives:
         assert (now.speed >= 0).all()
         assert (now.speed <= limits.speed_max_mps * 1.1).all()  # 1.1: along the path, not along the road
         assert (now.curvature.abs()[is_planned] <= limits.curvature_max_1pm + 1e-3).all()
-        gained = (now.speed - before.speed)[is_planned]
+        gained = (now.speed - before.speed)[is_planned & ~world.has_collided]
         assert (gained <= (limits.accel_max_mps2 + 0.5) * dt).all()
         assert (now.speed - before.speed >= -(limits.full_braking_mps2 + 0.8) * dt).all()
         moved = (now.position - before.position).norm(dim=-1)
         mean_speed = (now.speed + before.speed) / 2
-        torch.testing.assert_close(moved, mean_speed * dt, atol=0.06, rtol=0.03)
+        drives_on = ~world.has_collided  # who collides stops where that happens, within the step
+        torch.testing.assert_close(moved[drives_on], (mean_speed * dt)[drives_on], atol=0.06, rtol=0.03)
         before = now
 
 

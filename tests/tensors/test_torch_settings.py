@@ -137,7 +137,8 @@ def state():
         "processes": multiprocessing.get_start_method(allow_none=True),
         "matplotlib": str(dict.items(matplotlib.rcParams)),
         "python": [os.getcwd(), sys.path[:], sys.getrecursionlimit(), str(sys.excepthook), str(sys.stdout)],
-        "resolvers": {name: id(resolver) for name, resolver in BaseContainer._resolvers.items()},
+        "resolvers": {name: id(resolver) for name, resolver in BaseContainer._resolvers.items()
+                      if not name.startswith("negopipe.")},
         "tasks": len(os.listdir("/proc/self/task")) if os.path.isdir("/proc/self/task") else 0,
     }
 
