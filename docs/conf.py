@@ -29,7 +29,7 @@ highlight_language = "bash"
 default_role = "literal"
 
 myst_heading_anchors = 3
-myst_enable_extensions = ["dollarmath", "deflist"]
+myst_enable_extensions = ["dollarmath"]
 
 autodoc_member_order = "bysource"
 autodoc_inherit_docstrings = False
