@@ -27,6 +27,8 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
 exclude_patterns = ["_build"]
 highlight_language = "bash"
 default_role = "literal"
+smartquotes = False
+add_module_names = False
 
 myst_heading_anchors = 3
 myst_enable_extensions = ["dollarmath"]
@@ -69,7 +71,8 @@ def write_reference(app: Sphinx) -> None:
 
 
 def docstring_as_rst(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    lines[:] = docstrings.as_rst(lines, docstrings.field_types(obj) if _is_dataclass(obj) else None)
+    bases = docstrings.bases(obj) if inspect.isclass(obj) else []
+    lines[:] = docstrings.as_rst(lines, docstrings.field_types(obj) if _is_dataclass(obj) else None) + bases
 
 
 def signature(app: Sphinx, what: str, name: str, obj: Any, options: Any, own: str, returned: str) -> tuple | None:

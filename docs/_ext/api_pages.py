@@ -6,6 +6,8 @@ from pathlib import Path
 import negopipe
 
 PACKAGE = Path(negopipe.__file__).parent
+FACE = "negopipe"
+"""The package itself, whose functions are the public face."""
 PART = re.compile(r"^    (\w+) {2,}(\S.*)$", flags=re.MULTILINE)
 
 
@@ -27,8 +29,9 @@ def write(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("*.rst"):
         old.unlink()
-    rows = [f"   * - :doc:`{_shown(part)} <{part}>`\n     - {text}" for part, text in parts().items()]
-    listed = "\n".join(f"   {part}" for part in parts())
+    pages = {FACE: "the map and the public face"} | parts()
+    rows = [f"   * - :doc:`{_shown(page)} <{page}>`\n     - {text}" for page, text in pages.items()]
+    listed = "\n".join(f"   {page}" for page in pages)
     index = [
         _title("API reference", "="),
         "The parts of the package, lowest first: each imports only those above it.",
@@ -36,12 +39,17 @@ def write(folder: Path) -> None:
         ".. toctree::\n   :hidden:\n\n" + listed,
     ]
     _write(folder / "index.rst", index)
+    _write(folder / f"{FACE}.rst", [_title(FACE, "="), _members(FACE)])
     for part, text in parts().items():
         _write(folder / f"{part}.rst", [_title(_shown(part), "="), f"*{text}*", *map(_module, modules(part))])
 
 
 def _module(name: str) -> str:
-    return f"{_title(_shown(name), '-')}\n\n.. automodule:: {name}\n   :members:\n   :show-inheritance:"
+    return f"{_title(_shown(name.removeprefix(f'{FACE}.')), '-')}\n\n{_members(name)}"
+
+
+def _members(name: str) -> str:
+    return f".. automodule:: {name}\n   :members:"
 
 
 def _title(text: str, line: str) -> str:

@@ -15,7 +15,8 @@ NOT_OURS = "hydra"
 """Section of the root whose keys are Hydra's own."""
 KIND = "the implementation that the option's other keys configure"
 """Meaning of `kind` in every group."""
-LONGEST_VALUE = 70
+NAMED_ELSEWHERE = "a key of the group that its name begins with"
+LONGEST_VALUE = 100
 
 
 def options() -> dict[str, list[Path]]:
@@ -58,8 +59,8 @@ def write(path: Path) -> None:
 
 def _page() -> Iterator[str]:
     yield from _title("Configuration reference", "=")
-    yield "A run is one option per group of ``conf/``, with single values changed as ``key=value``. Each table gives"
-    yield "the keys that an option file sets, their values in it and their meaning."
+    yield "A run is one option per group of ``conf/``, with single values changed as ``key=value``. Below stand"
+    yield "the keys that each option file sets, their values in it and their meaning."
     yield ""
     for group, paths in options().items():
         yield from _title(group or "The run", "-")
@@ -73,16 +74,12 @@ def _option(group: str, path: Path) -> Iterator[str]:
         yield from _title(f"{group}={path.stem}" if group != FREE else f"+{group}={path.stem}", "~")
     if header(text):
         yield from (escaped(header(text)), "")
-    rows = [key for key in explained(group, path) if key.meaning or not key.is_section]
-    if not rows:
-        return
-    yield from (".. list-table::", "   :header-rows: 1", "   :widths: 34 22 44", "   :class: config", "")
-    yield from ("   * - key", "     - value", "     - meaning")
-    for key in rows:
-        yield f"   * - ``{_place(group, text)}{key.path}``"
-        yield f"     - {_shown(key.value)}"
-        yield f"     - {escaped(key.meaning) if key.meaning else ''}"
-    yield ""
+    for key in explained(group, path):
+        if key.meaning or not key.is_section:
+            value = _shown(key.value)
+            yield f"``{_place(group, text)}{key.path}``" + (f" : {value}" if value else "")
+            yield f"    {escaped(key.meaning or NAMED_ELSEWHERE)}"
+            yield ""
 
 
 def _place(group: str, text: str) -> str:

@@ -31,17 +31,20 @@ def as_rst(docstring: Sequence[str], types: Mapping[str, str] | None = None) -> 
             lines += _rst(kind, part, types)
     defined = {name for line in lines if line.startswith("``") for name in re.findall(r"\w+", line.partition(" : ")[0])}
     rest = [f"``{name}`` (``{text}``)" for name, text in types.items() if name not in defined]
-    return lines + ([f"Fields without a note: {', '.join(rest)}.", ""] if rest else [])
+    head = "Other fields" if defined & set(types) else "Fields"
+    return lines + ([f"{head}: {', '.join(rest)}.", ""] if rest else [])
 
 
 def _parts(lines: Sequence[str], may_define: bool) -> Iterator[tuple[str, list[str]]]:
     """The paragraph in pieces of one layout: "definition", "indented" or "text"."""
+    flush = [line for line in lines if not line.startswith(" ")]
+    is_formal = any(map(COLUMNS.search, flush)) and all(map(FORMAL.search, flush))
     kind, part = "", list[str]()
     for line in lines:
         is_indented = line.startswith(" ")
         if may_define and DEFINITION.fullmatch(line):
             this = "definition"
-        elif is_indented or COLUMNS.search(line):
+        elif is_indented or is_formal or COLUMNS.search(line):
             this = kind if is_indented and kind == "definition" else "indented"
         else:
             this = "text"
@@ -83,3 +86,10 @@ def field_types(cls: type) -> dict[str, str]:
     written = {node.target.id: ast.unparse(node.annotation) for node in body
                if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)}  # fmt: skip
     return {field.name: written[field.name] for field in dataclasses.fields(cls) if field.name in written}
+
+
+def bases(cls: type) -> list[str]:
+    """What a class of the package extends, where that is of the package, too."""
+    ours = [base for base in cls.__bases__ if base.__module__.startswith("negopipe")]
+    linked = ", ".join(f":py:class:`~{base.__module__}.{base.__qualname__}`" for base in ours)
+    return [f"Extends {linked}.", ""] if ours else []
