@@ -8,13 +8,16 @@ override OUTPUTS := $(or $(OUTPUTS),outputs)
 override STORE := $(or $(STORE),$(OUTPUTS))
 override NAME := $(or $(NAME),yield)
 override PORT := $(or $(PORT),5000)
+override DOCS_PORT := $(or $(DOCS_PORT),8000)
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DOCS_READY := $(VENV)/.docs
+DOCS := build/docs
 ARGS ?=
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/requirements.lock
 
-.PHONY: help setup yield push smoke summary test test-slow test-sweeps lint lock ui
+.PHONY: help setup yield push smoke summary test test-slow test-sweeps lint lock ui docs docs-serve
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -59,3 +62,14 @@ lock: $(READY)  ## resolve all dependencies anew: .ci/requirements.lock
 
 ui: $(READY)  ## MLflow's dashboard of all runs under OUTPUTS, or in STORE=sqlite:///file
 	@$(BIN)/python -m negopipe.tracking.dashboard '$(STORE)' '$(PORT)'
+
+$(DOCS_READY): $(READY)
+	$(INSTALL) --editable '.[docs]'
+	@touch $@
+
+docs: $(DOCS_READY)  ## build the documentation site strictly: a broken link or an unexplained config key fails
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --fresh-env --quiet -b html docs $(DOCS)
+	@echo '$(DOCS)/index.html'
+
+docs-serve: docs  ## show the documentation site on this machine, at DOCS_PORT
+	$(BIN)/python -m http.server '$(DOCS_PORT)' --bind 127.0.0.1 --directory $(DOCS)

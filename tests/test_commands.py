@@ -1,4 +1,4 @@
-"""Every command of README.md and every script of jobs/ runs, at small size."""
+"""Every command of README.md, CONTRIBUTING.md and docs/ and every script of jobs/ runs, at small size."""
 
 import importlib.util
 import os
@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from documented import all_commands
 from mlflow_server import free_port, server
 
 ROOT = Path(__file__).parent.parent
@@ -33,16 +34,12 @@ exec {sys.executable} "$@"
 NOT_RUN = {
     "make ui": "a server",
     "make test": "the tests themselves",
+    "make docs-serve": "a server",
     "bash jobs/tracking_server.sh": "a server, used by the commands after it",
+    "source .venv/bin/activate": "the environment of the tests",
+    "pre-commit install": "changes the checkout's hooks",
 }
 NEEDS = {"joblib": "hydra_plugins.hydra_joblib_launcher", "submitit": "submitit", "ray": "ray", "optuna": "optuna"}
-
-
-def readme_commands() -> list[str]:
-    """Lines of the fenced blocks that name no language, without comments."""
-    blocks = re.findall(r"^```\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.M | re.S)
-    lines = [re.sub(r"\s+#.*", "", line).strip() for block in blocks for line in block.splitlines()]
-    return [line for line in lines if line and line not in NOT_RUN]
 
 
 def missing_engine(command: str) -> str | None:
@@ -83,8 +80,8 @@ def run(command: str, place: Path, **more: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", readme_commands())
-def test_a_command_of_the_readme_runs(command: str, place: Path, address: str) -> None:
+@pytest.mark.parametrize("command", [command for command in all_commands() if command not in NOT_RUN])
+def test_a_documented_command_runs(command: str, place: Path, address: str) -> None:
     if engine := missing_engine(command):
         pytest.skip(f"{engine} is not installed")
     checkpoints = sorted(place.glob("outputs/yield/*/checkpoint.safetensors"))

@@ -18,7 +18,11 @@ from negopipe.tracking.csv_file import read_csv, write_csv
 ROOT = JOBS.parent
 WITH_REFERENCES = [
     *sorted(path for path in JOBS.glob("*.*") if path.suffix in (".py", ".sh", ".md")),
-    *(ROOT / name for name in ("README.md", "Makefile", "jobs/results/README.md", "outputs/README.md")),
+    *(
+        ROOT / name
+        for name in ("README.md", "CONTRIBUTING.md", "Makefile", "jobs/results/README.md", "outputs/README.md")
+    ),
+    *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "conf").rglob("*.yaml")),
     *sorted((ROOT / "negopipe").rglob("*.py")),
 ]

@@ -8,5 +8,4 @@ acktr.py        natural gradient within trust regions
 acktr_adam.py   natural gradient, stepped along by Adam
 a2c.py, ppo.py  Adam down a loss (adam.py)
 kfac.py         Kronecker-factored Fisher matrix and the natural gradient
-curriculum.py   the stages of Algorithm 1
 """

@@ -2,7 +2,7 @@
 
 One update on a minibatch of N decisions, with the network's parameters theta:
 
-    loss  L = -1/N sum A_t log pi(a_t|s_t) + c_V L_V - c_H H
+    loss              L = -1/N sum A_t log pi(a_t|s_t) + c_V L_V - c_H H
     momentum          m <- mu m + (1 - mu) grad L
     natural gradient  v = F_hat^-1 m
     trust region      eta = min(eta_max, sqrt(2 delta / v^T F_hat v)),  with v^T F_hat v = v^T m

@@ -1,0 +1,143 @@
+"""README.md and docs/: short, linked, in agreement with the raw results and with what there is."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from documented import (
+    PAGES,
+    ROOT,
+    Results,
+    all_commands,
+    anchors,
+    blocks,
+    commands,
+    links,
+    overrides,
+    results,
+    unsupported,
+)
+
+import negopipe
+from negopipe.config.compose import compose_config
+
+DOCS = ROOT / "docs"
+EXTENSION = DOCS / "_ext"
+N_WORDS = 1200
+FILE = re.compile(r"`((?:negopipe|conf|tests|jobs)/[\w/.]+)`")
+TABLES = [(page, table) for page in PAGES for table in results(page)]
+COMPOSED = [command for command in all_commands() if overrides(command) is not None]
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= N_WORDS
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_links_lead_somewhere(page: Path) -> None:
+    missing = []
+    for target in links(page):
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        if not file.exists() or (anchor and anchor not in anchors(file)):
+            missing.append(target)
+    assert not missing
+
+
+def test_every_page_is_in_the_contents() -> None:
+    text = (DOCS / "index.md").read_text(encoding="utf-8")
+    listed = {line for block in blocks(text, "{toctree}") for line in block.splitlines() if re.fullmatch(r"\w+", line)}
+    assert listed == {page.stem for page in DOCS.glob("*.md")} - {"index"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_files_that_a_page_names_are_there(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert {name for name in FILE.findall(text) if not (ROOT / name).exists()} == set()
+
+
+def test_every_extension_is_named_with_its_files() -> None:
+    text = (DOCS / "extending.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \[([\w ]+)\]\(#(add-an?-[\w-]+)\) \| (.*)$", text, flags=re.M)
+    assert {anchor for _, anchor, _ in rows} == {
+        anchor for anchor in anchors(DOCS / "extending.md") if "add-" in anchor
+    }
+    assert [name for name, _, files in rows if len(FILE.findall(files)) < 2] == []
+
+
+@pytest.mark.parametrize("command", COMPOSED)
+def test_a_documented_command_composes(command: str) -> None:
+    compose_config(overrides(command) or [])
+
+
+@pytest.mark.parametrize("command", all_commands())
+def test_a_documented_command_is_one_that_there_is(command: str) -> None:
+    match command.split():
+        case ["make", target, *_]:
+            assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.M)
+        case ["python", "-m", module, *_]:
+            assert importlib.util.find_spec(module)
+        case ["bash" | "python", script, *_]:
+            assert (ROOT / script).exists()
+        case ["source" | "pip" | "pre-commit", *_]:
+            pass
+        case words:
+            assert re.match(r"[A-Z_]+=", words[0])
+
+
+@pytest.mark.parametrize(("page", "table"), TABLES, ids=[named(page) for page, _ in TABLES])
+def test_figures_are_those_of_the_raw_tables(page: Path, table: Results) -> None:
+    assert unsupported(table) == []
+
+
+def test_the_readme_has_one_table_of_results() -> None:
+    (table,) = results(ROOT / "README.md")
+    assert len(table.rows) == 6
+    assert sum(name.startswith("jobs/results") for name in map(named, table.sources)) == len(table.sources)
+
+
+def test_a_wrong_figure_is_found() -> None:
+    table = next(results(ROOT / "README.md"))
+    wrong = {"44.8": "44.9", "-8.45": "-8.54", "98.0 to": "97.0 to", "-19.64": "-15.45"}
+    for right, other in wrong.items():
+        rows = [[cell.replace(right, other) for cell in row] for row in table.rows]
+        assert rows != table.rows
+        assert len(unsupported(Results(table.sources, table.header, rows, table.where))) == 1
+
+
+@pytest.mark.skipif(not hasattr(negopipe, "make_vec_env"), reason="there is no public face yet")
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if blocks(page.read_text(encoding="utf-8"), "python")], ids=named
+)
+def test_python_of_a_page_runs(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    for block in blocks(page.read_text(encoding="utf-8"), "python"):
+        exec(compile(block, named(page), "exec"), {})
+
+
+@pytest.mark.slow
+def test_the_site_is_built(tmp_path: Path) -> None:
+    """As `make docs` builds it: any warning fails."""
+    if importlib.util.find_spec("sphinx") is None:
+        pytest.skip("sphinx is not installed")
+    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--fresh-env", "--quiet"]
+    command += ["-b", "html", str(DOCS), str(tmp_path)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert {"index.html", "extending.html"} <= {path.name for path in tmp_path.glob("*.html")}
+    assert "wider input factors" in (tmp_path / "reference" / "configuration.html").read_text(encoding="utf-8")
+    assert "Fisher matrix" in (tmp_path / "reference" / "learning.html").read_text(encoding="utf-8")
+
+
+def test_a_page_has_commands() -> None:
+    assert commands(ROOT / "README.md")[:2] == ["make yield", "make test"]
