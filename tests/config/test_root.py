@@ -137,7 +137,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             ["observation.frame_interval_s=0.5"],
             "observation.frame_interval_s must be a multiple of scenario.dt_s = 0.2, got 0.5",
         ),
-        (["+dynamics.foo=1"], "dynamics.foo is not a known key, allowed: model"),
+        (["+dynamics.foo=1"], "dynamics.foo is not a known key, allowed: kind"),
         (["dynamics=bicycle", "dynamics.wheelbase_m=0"], "dynamics.wheelbase_m must be greater than 0, got 0"),
         (["dynamics=bicycle", "~dynamics.wheelbase_m"], "dynamics.wheelbase_m is missing"),
         (["dynamics=bicycle", "+dynamics.wheelbas_m=1"], "dynamics.wheelbas_m is not a known key, did you mean wheelb"),

@@ -170,8 +170,8 @@ def test_any_planners_of_any_name_make_a_report(
     config.evaluation = SimpleNamespace(leading_setting=setting, fixed_horizons_s=fixed_s)
     report.run(config, run)
     page = (run.folder / "report.html").read_text()
-    labels = [labels.planner_label(name, fixed_s) for name, _ in planners.values()]
-    assert all(f"{label}</th>" in page for label in labels), labels
+    names = [labels.planner_label(name, fixed_s) for name, _ in planners.values()]
+    assert all(f"{label}</th>" in page for label in names), names
     claims = json.loads((run.folder / "claims.json").read_text())
     if setting != "push" or not fixed_s:
         assert {claim["verdict"] for claim in claims} == {"not tested"}
