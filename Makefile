@@ -17,7 +17,7 @@ DOCS := build/docs
 ARGS ?=
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/requirements.lock
 
-.PHONY: help setup yield push smoke summary test test-slow test-sweeps lint lock ui docs docs-serve
+.PHONY: help setup yield push smoke compare test test-slow test-sweeps lint lock ui docs docs-serve
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -38,8 +38,8 @@ push: $(READY)  ## the same on the push task
 smoke: $(READY)  ## the whole pipeline, tiny: does it run from end to end?
 	$(BIN)/python -m negopipe +experiment=smoke $(ARGS)
 
-summary: $(READY)  ## what came of the runs of NAME: a table, a figure, the best config
-	@$(BIN)/python -m negopipe.sweeping.summary '$(OUTPUTS)/$(NAME)' $(ARGS)
+compare: $(READY)  ## compare the runs of NAME: tables with intervals, figures, the best config
+	@$(BIN)/python -m negopipe.sweeping.compare '$(OUTPUTS)/$(NAME)' $(ARGS)
 
 test: $(READY)  ## the fast tests
 	$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)

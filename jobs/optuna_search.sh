@@ -5,4 +5,4 @@
 # on the tasks that results are reported for. On more cores: hydra.sweeper.n_jobs=4 hydra/launcher=joblib n_threads=1
 set -euo pipefail
 python -m negopipe -m +experiment=yield hydra/sweeper=optuna_acktr 'stages=[train,evaluate]' evaluation.task_seed=1000 "$@"
-python -m negopipe.sweeping.summary outputs/yield
+python -m negopipe.sweeping.compare outputs/yield

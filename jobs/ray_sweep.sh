@@ -26,4 +26,4 @@ python -m negopipe -m +experiment=yield seed=1,2,3 reward=paper,strict \
   +hydra.launcher.ray.remote.num_cpus="$CPUS" \
   +hydra.launcher.ray.remote.num_gpus="$GPUS" \
   outputs="$OUTPUTS" tracking.uri="$MLFLOW_TRACKING_URI" "$@"
-python -m negopipe.sweeping.summary "$OUTPUTS/yield"
+python -m negopipe.sweeping.compare "$OUTPUTS/yield"

@@ -7,8 +7,8 @@ oracle=${ORACLE:-negopipe/pretrained/oracle.csv}
 python -m negopipe +experiment=yield name=results_yield stages=[train,evaluate] evaluation.n_episodes=5000 seed=1
 python -m negopipe -m +experiment=yield name=results_yield stages=[train,evaluate] evaluation.n_episodes=5000 \
     evaluation/baseline=[] seed=2,3,4,5
-python -m negopipe.sweeping.seeds outputs/results_yield --oracle "$oracle"
+python -m negopipe.sweeping.compare outputs/results_yield --oracle "$oracle"
 python -m negopipe +experiment=mixture name=results_mixture stages=[train,evaluate] evaluation.n_episodes=5000 seed=1
 python -m negopipe -m +experiment=mixture name=results_mixture stages=[train,evaluate] evaluation.n_episodes=5000 \
     evaluation/baseline=[] seed=2,3
-python -m negopipe.sweeping.seeds outputs/results_mixture --oracle "$oracle"
+python -m negopipe.sweeping.compare outputs/results_mixture --oracle "$oracle"

@@ -30,4 +30,4 @@ python -m negopipe -m +experiment=yield seed=1,2,3 reward=paper,strict \
   hydra.launcher.max_num_timeout=5 \
   hydra.launcher.array_parallelism="$AT_A_TIME" \
   outputs="$OUTPUTS" tracking.uri="$MLFLOW_TRACKING_URI" "$@"
-python -m negopipe.sweeping.summary "$OUTPUTS/yield"
+python -m negopipe.sweeping.compare "$OUTPUTS/yield"

@@ -147,7 +147,7 @@ def run_stages(composed: DictConfig) -> float | None:
             stage.run(config, run)
             run.mark_finished(name, key)
         if run.has_begun:
-            run.compare(config.objective, RESULT_NEUTRAL)
+            run.offer_comparison_view(config.objective, RESULT_NEUTRAL)
     _say_where(config, run)
     return objective(read(run.folder / METRICS_NAME), config.objective)
 

@@ -103,4 +103,4 @@ def test_make_takes_an_empty_variable_for_none_and_any_name() -> None:
     assert make("ui") == make("ui", OUTPUTS="", PORT="") == make("ui", "OUTPUTS=", "PORT=", "STORE=") == default
     assert make("ui", "OUTPUTS=a b") == default.replace("outputs", "a b")
     assert make("ui", "STORE=sqlite:////x y/z#.db") == default.replace("outputs", "sqlite:////x y/z#.db")
-    assert make("summary", NAME="") == ".venv/bin/python -m negopipe.sweeping.summary 'outputs/yield' "
+    assert make("compare", NAME="") == ".venv/bin/python -m negopipe.sweeping.compare 'outputs/yield' "

@@ -80,8 +80,14 @@ def _is_not_unicode(value: Any) -> bool:
     return isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value)
 
 
+REMOVED = {"runs": "python -m negopipe.sweeping.compare <outputs>/<name> compares"}
+"""Former keys, and what took their place."""
+
+
 def unknown_key(key: str, allowed: Iterable[str]) -> str:
     """`key` is a dotted path; `allowed` are the names that its last part could have."""
+    if key in REMOVED:
+        return f"{key} is no key any more: {REMOVED[key]}"
     names = sorted(allowed)
     near = difflib.get_close_matches(key.rpartition(".")[2], names, n=1)
     hint = f" did you mean {near[0]}?" if near else ""

@@ -23,7 +23,7 @@ from negopipe.observation.occupancy_grid import ObservationConfig
 from negopipe.planner.frenet import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
-from negopipe.schema import Distinct, FileName, Label, PathText, PositiveInt, Seed, schema
+from negopipe.schema import Distinct, FileName, PathText, PositiveInt, Seed, schema
 from negopipe.search.oracle import OracleConfig
 from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
@@ -47,8 +47,7 @@ LONGEST_EPISODE_S = 3600.0
 
 
 RESULT_NEUTRAL = {
-    "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "runs",
-    "tracking",
+    "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "tracking",
 }  # fmt: skip
 """Keys that `run_name` leaves out of its hash: where a run is kept, which part of it runs now, how its
 results are shown. `n_threads` is among them because threads change rounding at most; `device` and `compile`
@@ -66,7 +65,6 @@ class RunConfig:
     objective: Annotated[tuple[str, ...], Field(min_length=1), Distinct]
     checkpoint: PathText | None
     episode: EpisodeText | None
-    runs: Label | None
     rerun: bool
     reuse: Literal["same_code", "any_code"]
     device: Literal["auto", "cpu", "cuda"]
@@ -126,7 +124,6 @@ def run_name(config: RunConfig) -> str:
     alone = set(config.stages) if len(config.stages) == 1 else set()
     others = set(get_args(Stage)) - alone
     relevant = {key: value for key, value in as_mapping(config).items() if key not in RESULT_NEUTRAL | others}
-    relevant |= {} if config.runs is None else {"runs": config.runs}  # a report on other runs has a folder of its own
     canonical = json.dumps(relevant, sort_keys=True, separators=(",", ":"))
     return f"seed{config.seed}-{hashlib.sha256(canonical.encode()).hexdigest()[:8]}"
 
@@ -218,8 +215,6 @@ def _check_evaluation(config: RunConfig) -> None:
             raise UserError(f"evaluation.baselines must not name one {name}, which is {who}")
     _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
-    if config.runs is not None and config.stages != ("report",):
-        raise UserError(f"stages must be [report] where runs names what is compared, got {list(config.stages)}")
     if "replay" in config.stages and config.episode is None:
         raise UserError("episode must be <setting>/<planner>/<number> for the stage replay, got null")
     if "report" in config.stages:

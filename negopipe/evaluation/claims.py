@@ -202,7 +202,7 @@ _CLAIMS: Sequence[tuple[str, str, Sequence[str], Callable[[Evidence], list[Findi
     (
         'The curriculum helps "to enhance the training efficiency and robustness"',
         "after as many decisions, a training with it has more likely than not the higher reward, mean over the "
-        "settings; judged by the report over such runs (jobs/ablation_curriculum.sh)",
+        "settings; judged by negopipe.sweeping.compare over such runs (jobs/ablation_curriculum.sh)",
         [],
         None,
     ),

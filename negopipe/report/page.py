@@ -99,10 +99,10 @@ class Section:
 
 @dataclass(frozen=True)
 class Provenance:
-    """How the page was made: the command line, the seed, the config as YAML, versions by package name."""
+    """How the page was made: the command line, the seed or seeds, the config as YAML, versions by package name."""
 
     command: str
-    seed: int
+    seed: str
     config_yaml: str
     versions: Mapping[str, str]
 

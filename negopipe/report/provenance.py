@@ -23,16 +23,24 @@ def provenance(seed: int, run: "TrackedRun") -> Provenance:
     config_path = run.folder / "config.yaml"
     if not config_path.is_file():
         raise UserError(f"{config_path}: no such file; every run writes it when it starts")
-    versions = {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
-    return Provenance("\n".join(run.commands), seed, config_path.read_text(encoding="utf-8"), versions)
+    return Provenance("\n".join(run.commands), str(seed), config_path.read_text(encoding="utf-8"), versions())
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of `PACKAGES`, by name."""
+    return {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
 
 
 def write_claims(run: "TrackedRun", claims: Sequence[Claim]) -> None:
     """claims.json"""
     path = run.folder / "claims.json"
-    text = json.dumps([claim.as_dict() for claim in claims], indent=2, ensure_ascii=False, allow_nan=False)
-    write_whole(path, f"{text}\n".encode())
+    write_whole(path, claims_text(claims).encode())
     run.log_artifact(path)
+
+
+def claims_text(claims: Sequence[Claim]) -> str:
+    """Content of claims.json."""
+    return json.dumps([claim.as_dict() for claim in claims], indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _version(package: str) -> str:

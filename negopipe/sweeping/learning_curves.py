@@ -1,12 +1,9 @@
-"""Learning curves of a sweep: `python -m negopipe.sweeping.learning_curves outputs/<name> --by algorithm.kind`.
+"""Learning curves of groups of runs: success rate and return while training, over decisions and over wall time.
 
-Groups the runs by keys of their config and draws, over decisions and over wall time, the mean of each group's seeds
-and the range of all of them. Writes learning_curves.csv, .png and .svg to `outputs/sweeps/<name>/`. Given such a csv
-instead of the runs' folder, it draws the figure again, beside it.
+learning_curves.csv holds rows of all runs' history.csv; the figure is drawn from it alone, so it can be drawn again.
 """
 
-import argparse
-import sys
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,100 +12,79 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from negopipe.errors import UserError
 from negopipe.report.figures import render
 from negopipe.report.style import OTHER_COLORS, QUIET, styled
-from negopipe.sweeping.swept_runs import SweptRun, read_runs
+from negopipe.sweeping.groups import Groups, LeftOut
+from negopipe.sweeping.swept_runs import SweptRun
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.tracking.run_folder import HISTORY_NAME
 from negopipe.tracking.training_files import HISTORY
 
 COLORS = ("#00A0A0", "#E09000", "#1B1B4B", "#D64550", *OTHER_COLORS)
+"""A colour per group; there are as many curves at most."""
 MEASURES = {"success_rate": "success rate", "return_mean": "return"}
-"""Columns of history.csv that are drawn, both of the latest 200 episodes, and what they are called."""
+"""Columns of history.csv that are drawn, both of the latest 200 episodes, and their labels."""
 AXES = {"decisions": ("decisions [thousands]", 1e-3), "wall_s": ("wall time [min]", 1 / 60)}
-KEYS = ("group", "seed", *AXES)
-"""Columns of learning_curves.csv beside the measures."""
+COLUMNS = ("group", "seed", *AXES, *MEASURES)
 CURVES = CsvKind(
-    "negopipe.sweeping.learning_curves",
+    "negopipe.sweeping.compare",
     {"group": str, "seed": int, "decisions": int, "wall_s": float, "success_rate": float, "return_mean": float},
 )
-"""learning_curves.csv: `KEYS` and `MEASURES`."""
+"""learning_curves.csv: `COLUMNS`."""
 N_POINTS = 100
-"""Of a curve; seeds are compared at the same points."""
+"""Points of a curve; the runs of a group are compared at the same ones."""
 LOWEST = 1.0
 """Percentile of all returns at which the axis begins: the first iterations are far below all else."""
+SHORTEST = 0.5
+"""Share of its group's longest run that a run must reach to count in the curve, which ends with the shortest."""
+LEGEND_CHARACTERS, LONGEST_LABEL = 115, 60
+"""Characters that fit beside each other above the figure, and in a line of a label."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; 0, or 1 after a line that says what is wrong."""
-    about = (__doc__ or "").partition("\n")[0]
-    parser = argparse.ArgumentParser(prog="python -m negopipe.sweeping.learning_curves", description=about)
-    parser.add_argument("source", type=Path, help="outputs/<name>: the folder that holds the runs; or a csv")
-    parser.add_argument("--by", nargs="+", default=[], metavar="KEY", help="of the config: its values are compared")
-    parser.add_argument("--sweep", help="only runs with this tag `sweep`")
-    parser.add_argument("--every", type=_positive, default=1, help="keep a row per so many iterations (default: 1)")
-    given = parser.parse_args(arguments)
-    try:
-        if given.source.suffix == ".csv":
-            table, target = read_table(given.source), given.source.with_suffix("")
-        else:
-            table = read_curves(given.source, given.by, given.sweep, given.every)
-            target = given.source.parent / "sweeps" / (given.sweep or given.source.name) / "learning_curves"
-            target.parent.mkdir(parents=True, exist_ok=True)
-            write_csv(Path(f"{target}.csv"), table, CURVES)
-    except UserError as error:
-        print(error, file=sys.stderr)
-        return 1
+def write_curves(target: Path, runs: Sequence[SweptRun], groups: Groups, every: int) -> None:
+    """Write learning_curves.csv, .png and .svg. LeftOut if no run has a history.
+
+    every: of so many iterations one row is kept
+    """
+    table = read_curves(runs, groups, every)
+    if table.empty:
+        raise LeftOut(f"no run has a {HISTORY_NAME} with {every} iteration{'s' if every > 1 else ''}")
+    write_csv(target / "learning_curves.csv", table, CURVES)
+    print(f"curves     {target / 'learning_curves.csv'}")
+    draw_curves(target / "learning_curves.csv")
+
+
+def draw_curves(path: Path) -> None:
+    """Draw the figure of a learning_curves.csv beside it; UserError if it is none."""
+    table = read_csv(path, CURVES, COLUMNS)
     figure = learning_curves(table)
     for kind in ("png", "svg"):
-        Path(f"{target}.{kind}").write_bytes(render(figure, kind))
-    print(f"curves     {target}.csv\nfigure     {target}.png")
-    return 0
+        path.with_suffix(f".{kind}").write_bytes(render(figure, kind))
+    n_groups, n_drawn = table["group"].nunique(), len(drawn_groups(table))
+    told = f" (of {n_groups} groups the {n_drawn} with the highest last return)" if n_drawn < n_groups else ""
+    print(f"figure     {path.with_suffix('.png')}{told}")
 
 
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"must be a whole number above 0, got {text}")
-    return int(text)
-
-
-def read_table(path: Path) -> pd.DataFrame:
-    """A learning_curves.csv; UserError if it is none."""
-    return read_csv(path, CURVES, CURVES.columns)
-
-
-def read_curves(folder: Path, by: Sequence[str], sweep: str | None = None, every: int = 1) -> pd.DataFrame:
-    """Each `every`-th row of the runs' history.csv, with columns `group` (values of `by`) and `seed`.
-
-    UserError if there are none.
-    """
-    runs = [run for run in read_runs(folder, sweep) if (folder / run.name / HISTORY_NAME).exists()]
-    unknown = [key for key in by if not any(key in run.config for run in runs)]
-    if not runs:
-        raise UserError(f"{folder}: no run in it has a {HISTORY_NAME}")
-    if unknown or not by:
-        raise UserError(f"--by must be keys of the config such as algorithm.kind, got {(unknown or ['none'])[0]}")
+def read_curves(runs: Sequence[SweptRun], groups: Groups, every: int = 1) -> pd.DataFrame:
+    """Each `every`-th row of the runs' history.csv, with columns `group` and `seed`; empty where none was trained."""
+    name_of = {run.folder: name for name, members in groups.items() for run in members}
     columns = [*AXES, *MEASURES]
     tables = [
-        read_csv(folder / run.name / HISTORY_NAME, HISTORY, columns)[columns][every - 1 :: every].assign(
-            group=_group(run, by), seed=run.config["seed"]
+        read_csv(run.folder / HISTORY_NAME, HISTORY, columns)[columns][every - 1 :: every].assign(
+            group=name_of[run.folder], seed=run.config["seed"]
         )
         for run in runs
+        if run.holds(HISTORY_NAME)
     ]
-    return pd.concat(tables, ignore_index=True)[[*KEYS, *MEASURES]]
-
-
-def _group(run: SweptRun, by: Sequence[str]) -> str:
-    return ", ".join(str(run.config.get(key, "-")) for key in by)
+    return pd.concat(tables, ignore_index=True)[list(COLUMNS)] if tables else pd.DataFrame(columns=list(COLUMNS))
 
 
 @styled
 def learning_curves(table: pd.DataFrame) -> Figure:
-    """A panel per measure and x-axis: a line per group, the mean of its seeds, in a band from lowest to highest."""
+    """A panel per measure and x-axis: a line per group, the mean of its runs, in a band from lowest to highest."""
     figure = Figure((7.2, 4.6), layout="constrained")
     panels = figure.subplots(len(MEASURES), len(AXES), sharey="row")
-    groups = list(table["group"].unique())
+    groups = drawn_groups(table)
     for row, (measure, label) in zip(panels, MEASURES.items(), strict=True):
         for axis, (x, (x_label, scale)) in zip(row, AXES.items(), strict=True):
             for group, color in zip(groups, COLORS, strict=False):
@@ -120,23 +96,39 @@ def learning_curves(table: pd.DataFrame) -> Figure:
     if table["return_mean"].notna().any():
         panels[1, 0].set_ylim(bottom=float(np.nanpercentile(table["return_mean"], LOWEST)))
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(4, len(groups)))
+    longest = max((len(line) for label in labels for line in label.splitlines()), default=1)
+    n_columns = min(4, max(1, LEGEND_CHARACTERS // (longest + 6)), len(groups))
+    figure.legend(handles, labels, loc="outside upper center", ncols=n_columns)
     return figure
 
 
+def drawn_groups(table: pd.DataFrame) -> list[str]:
+    """All groups, or as many as there are colours: those with the highest last return."""
+    groups = list(table["group"].unique())
+    last = table.dropna(subset=["return_mean"]).groupby(["group", "seed"])["return_mean"].last()
+    best = last.groupby("group").mean().sort_values(ascending=False, kind="stable").index
+    ranked = [*best, *(group for group in groups if group not in best)][: len(COLORS)]
+    return [group for group in groups if group in ranked]
+
+
 def _curve(axis: Axes, rows: pd.DataFrame, x: str, measure: str, scale: float, color: str) -> None:
-    seeds = [part.dropna(subset=[measure]) for _, part in rows.groupby("seed")]
-    seeds = [part for part in seeds if len(part) > 0]
-    if not seeds:  # no episode was over yet
+    runs = [part for part in (part.dropna(subset=[measure]) for part in _single_runs(rows)) if len(part) > 0]
+    if not runs:  # no episode was over yet
         return
-    start, end = max(part[x].min() for part in seeds), min(part[x].max() for part in seeds)
+    longest = max(part["decisions"].max() for part in runs)
+    runs = [part for part in runs if part["decisions"].max() >= SHORTEST * longest]
+    start, end = max(part[x].min() for part in runs), min(part[x].max() for part in runs)
     at = np.linspace(start, end, N_POINTS)
-    values = np.stack([np.interp(at, part[x], part[measure]) for part in seeds])
-    name = f"{rows['group'].iloc[0]} ({len(seeds)} seed{'s' if len(seeds) > 1 else ''})"
+    values = np.stack([np.interp(at, part[x], part[measure]) for part in runs])
+    noun = "seed" if len({part["seed"].iloc[0] for part in runs}) == len(runs) else "run"
+    name = f"{rows['group'].iloc[0]} ({len(runs)} {noun}{'s' if len(runs) > 1 else ''})"
     axis.fill_between(scale * at, values.min(0), values.max(0), color=color, alpha=0.2, linewidth=0)
-    axis.plot(scale * at, values.mean(0), color=color, linewidth=1.6, label=name)
+    axis.plot(scale * at, values.mean(0), color=color, linewidth=1.6, label=textwrap.fill(name, LONGEST_LABEL))
     axis.tick_params(color=QUIET)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _single_runs(rows: pd.DataFrame) -> list[pd.DataFrame]:
+    """The rows of each run: a seed's decisions begin again with the next run of that seed."""
+    begins = rows.groupby("seed")["decisions"].diff().fillna(1) <= 0
+    number = begins.astype(int).groupby(rows["seed"]).cumsum()
+    return [part for _, part in rows.groupby([rows["seed"], number])]

@@ -1,23 +1,20 @@
-"""What training seeds came to, and how surely: `python -m negopipe.sweeping.seeds outputs/yield`.
+"""Training seeds together: rates, rewards and regret to the oracle, each with its interval.
 
-Reads the episodes.csv of the runs of one config with several seeds and, for the regret, an oracle.csv; prints three
-tables and writes them to `outputs/sweeps/<name>/`:
+Three tables are made of the runs' episodes.csv and, for the regret, of an oracle.csv:
 
 seeds.csv   a row per seed, setting and planner: rates with Wilson intervals, reward, regret to the oracle
 across.csv  a row per setting and planner: interquartile means across seeds, with bootstrap intervals
 styles.csv  a row per setting, style of the other driver and planner, seeds pooled; the policy's success less the
             planner's on the same tasks, and the regret
+
+Where several groups are compared, each has its own rows, and the first column names it.
 """
 
-import argparse
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import yaml
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -26,9 +23,10 @@ from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.statistics import Estimate, interquartile_mean, mean_difference, rate
 from negopipe.evaluation.trace import ADAPTIVE
 from negopipe.search.oracle_table import ORACLE_TABLE
-from negopipe.sweeping.swept_runs import read_runs
+from negopipe.sweeping.console import show
+from negopipe.sweeping.groups import Groups, LeftOut
+from negopipe.sweeping.swept_runs import SweptRun
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
-from negopipe.tracking.run_folder import CONFIG_NAME
 
 RATES = {"success": "success_rate", "collision": "collision_rate"}
 """Outcomes that are counted, and what their shares are called."""
@@ -36,75 +34,88 @@ NEEDED = (
     *("planner", "setting", "episode", "social_start_distance_m", "style_horizon_s"),
     *("outcome", "driving_time_s", "reward"),
 )
-"""Columns of episodes.csv that are looked at."""
+"""Columns of episodes.csv that are read."""
+GROUP = "group"
+"""Column that names the group of a row."""
 _WHO = {"setting": str, "planner": str}
-_MADE_BY = "negopipe.sweeping.seeds"
+_MADE_BY = "negopipe.sweeping.compare"
 KINDS = {
-    "seeds": CsvKind(_MADE_BY, {"seed": int, **_WHO, "n_episodes": int, "*": float}),
-    "across": CsvKind(_MADE_BY, {**_WHO, "n_seeds": int, "*": float}),
-    "styles": CsvKind(_MADE_BY, {"style_s": str, **_WHO, "n_tasks": int, "*": float}),
+    "seeds": CsvKind(_MADE_BY, {GROUP: str, "seed": int, **_WHO, "n_episodes": int, "*": float}),
+    "across": CsvKind(_MADE_BY, {GROUP: str, **_WHO, "n_seeds": int, "*": float}),
+    "styles": CsvKind(_MADE_BY, {GROUP: str, "style_s": str, **_WHO, "n_tasks": int, "*": float}),
 }
-"""The tables that it writes; a row of all styles has `all` for its style."""
+"""The tables; a row of all styles has `all` for its style."""
 RANDOM_SEED = 0
-"""Of the bootstrap: the same runs give the same intervals."""
+"""Seed of the bootstrap: the same runs give the same intervals."""
+N_SHOWN = 40
+"""Rows of the table that are shown; across.csv has all."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; 0, or 1 after a line that says what is wrong."""
-    parser = argparse.ArgumentParser(prog="python -m negopipe.sweeping.seeds", description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path, help="outputs/<name>: the folder that holds the runs")
-    parser.add_argument("--sweep", help="only runs with this tag `sweep`")
-    parser.add_argument("--oracle", type=Path, help="oracle.csv of +experiment=oracle, for the regret")
-    given = parser.parse_args(arguments)
-    try:
-        episodes = read_episodes(given.folder, given.sweep)
-        oracle = None if given.oracle is None else _read_oracle(given.oracle)
-        seeds = by_seed(episodes, oracle)
-    except UserError as error:
-        print(error, file=sys.stderr)
-        return 1
-    target = given.folder.parent / "sweeps" / (given.sweep or given.folder.name)
-    target.mkdir(parents=True, exist_ok=True)
-    for name, table in {"seeds": seeds, "across": across_seeds(seeds), "styles": by_style(episodes, oracle)}.items():
-        write_csv(target / f"{name}.csv", table, KINDS[name])
-        _show(table)
-        print(f"{name:10} {target / name}.csv")
-    return 0
+def write_seeds(target: Path, episodes: pd.DataFrame, oracle: pd.DataFrame | None) -> None:
+    """Write the three tables and print that over seeds, where a group has several.
 
-
-def read_episodes(folder: Path, sweep: str | None = None) -> pd.DataFrame:
-    """Rows of `negopipe.evaluation.metrics.episodes` of all runs in `folder`, with a column `seed`.
-
-    The planners that are not trained drive alike in every run, so one run that has them is enough.
-
-    Raises UserError if no run is evaluated, if two have the same seed or if their policies drove different tasks.
+    episodes: rows of `read_episodes`
     """
-    runs = [run for run in read_runs(folder, sweep) if (folder / run.name / EPISODES_NAME).exists()]
-    if not runs:
-        raise UserError(f"{folder}: no run in it has been evaluated")
-    return read_tables([folder / run.name for run in runs])
+    groups = {str(name): own for name, own in episodes.groupby(GROUP, sort=False)}
+    tables = seed_tables(groups, oracle)
+    for name, table in tables.items():
+        write_csv(target / f"{name}.csv", table, KINDS[name])
+    if (tables["across"]["n_seeds"] > 1).any():
+        _show(tables["across"])
+    else:
+        print("seeds      one per config: no table over seeds")
+    print(f"seeds      {target / 'seeds.csv'}, across.csv, styles.csv")
 
 
-def read_tables(folders: Sequence[Path]) -> pd.DataFrame:
-    """The same of evaluated runs of one config, which may lie apart."""
-    place = folders[0].parent
-    seeds = [_seed(folder) for folder in folders]
+def seed_tables(groups: Mapping[str, pd.DataFrame], oracle: pd.DataFrame | None) -> dict[str, pd.DataFrame]:
+    """`by_seed`, `across_seeds` and `by_style` of each group, by the name of their file."""
+    seeds = {name: by_seed(own, oracle) for name, own in groups.items()}
+    across = {name: across_seeds(table) for name, table in seeds.items()}
+    styles = {name: by_style(own, oracle) for name, own in groups.items()}
+    return {"seeds": _stacked(seeds), "across": _stacked(across), "styles": _stacked(styles)}
+
+
+def _stacked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """The tables below each other, with a column that names the group where there are several."""
+    if len(tables) == 1:
+        return next(iter(tables.values()))
+    return pd.concat([_named_first(table, name) for name, table in tables.items()], ignore_index=True)
+
+
+def _named_first(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    return table.assign(**{GROUP: name})[[GROUP, *table.columns]]
+
+
+def read_episodes(groups: Groups) -> pd.DataFrame:
+    """Rows of `negopipe.evaluation.metrics.episodes` of all evaluated runs, with columns `group` and `seed`.
+
+    The planners that are not trained drive alike in every run, so one run of a group that has them is enough.
+
+    LeftOut if no run is evaluated, if two runs of a group have one seed or if their policies drove different tasks.
+    """
+    evaluated = {name: [run for run in runs if run.holds(EPISODES_NAME)] for name, runs in groups.items()}
+    tables = [_read_group(name, runs) for name, runs in evaluated.items() if runs]
+    if not tables:
+        raise LeftOut("no run has been evaluated")
+    return pd.concat(tables, ignore_index=True)
+
+
+def _read_group(name: str, runs: Sequence[SweptRun]) -> pd.DataFrame:
+    seeds = [int(run.config["seed"]) for run in runs]
     if len(set(seeds)) < len(seeds):
-        raise UserError(f"{place}: must hold one run per seed (--sweep picks some), got seeds {seeds}")
-    tables = [read_csv(folder / EPISODES_NAME, EPISODES, NEEDED) for folder in folders]
+        got = ", ".join(map(str, seeds))
+        raise LeftOut(f"a group must have one run per seed (--sweep picks some), got seeds {got} of {name}")
+    tables = [read_csv(run.folder / EPISODES_NAME, EPISODES, NEEDED) for run in runs]
     tasks = [_tasks(table) for table in tables]
-    for folder, own in zip(folders[1:], tasks[1:], strict=True):
+    for run, own in zip(runs[1:], tasks[1:], strict=True):
         if not own.equals(tasks[0]):
-            raise UserError(f"{place}: {folder.name} drove other tasks than {folders[0].name}; evaluate them alike")
-    return pd.concat([table.assign(seed=seed) for seed, table in zip(seeds, tables, strict=True)], ignore_index=True)
-
-
-def _seed(folder: Path) -> int:
-    return int(yaml.safe_load((folder / CONFIG_NAME).read_text(encoding="utf-8"))["seed"])
+            raise LeftOut(f"{run.name} drove other tasks than {runs[0].name}; evaluate them alike")
+    seeded = [table.assign(seed=seed) for seed, table in zip(seeds, tables, strict=True)]
+    return pd.concat(seeded, ignore_index=True).assign(**{GROUP: name})
 
 
 def _tasks(episodes: pd.DataFrame) -> pd.DataFrame:
-    """What the policy of one run drove."""
+    """The tasks that the policy of one run drove."""
     columns = ["setting", "episode", "social_start_distance_m", "style_horizon_s"]
     return episodes.loc[episodes["planner"] == ADAPTIVE, columns].reset_index(drop=True)
 
@@ -189,7 +200,8 @@ def _regret(part: pd.DataFrame, oracle: pd.DataFrame, rng: np.random.Generator) 
     return {**_named("regret", regret), "n_regret_tasks": len(both)}
 
 
-def _read_oracle(path: Path) -> pd.DataFrame:
+def read_oracle(path: Path) -> pd.DataFrame:
+    """The rewards of an oracle.csv; UserError if it is none."""
     if not path.is_file():
         raise UserError(f"--oracle must be an oracle.csv, got {path}: no such file")
     return read_csv(path, ORACLE_TABLE, ("setting", "episode", "social_start_distance_m", "reward"))
@@ -202,13 +214,15 @@ def _named(name: str, estimate: Estimate) -> dict[str, float]:
 def _show(table: pd.DataFrame) -> None:
     """An estimate and its interval in one cell."""
     shown = [name for name in table if not str(name).endswith(("_low", "_high"))]
-    view = Table()
+    view = Table(caption="Over seeds: interquartile means and their 95 % intervals")
     for name in shown:
-        view.add_column(str(name), justify="left" if table[name].dtype == object else "right", overflow="fold")
-    for row in table.to_dict("records"):
+        is_text = not pd.api.types.is_numeric_dtype(table[name])
+        view.add_column(str(name), justify="left" if is_text else "right", overflow="fold")
+    for row in table.head(N_SHOWN).to_dict("records"):
         view.add_row(*(escape(_cell(row, str(name))) for name in shown))
-    console = Console()
-    (console if console.is_terminal else Console(width=160)).print(view)
+    show(view)
+    if len(table) > N_SHOWN:
+        print(f"... and {len(table) - N_SHOWN} more")
 
 
 def _cell(row: dict, name: str) -> str:
@@ -217,12 +231,7 @@ def _cell(row: dict, name: str) -> str:
         return str(value)
     if np.isnan(value):
         return "-"
-    scale, form = (100, "{:.2f}") if name in (*RATES.values(), "lead") else (1, "{:.2f}")
-    unit = " %" if scale == 100 else ""
+    scale, unit = (100, " %") if name in RATES.values() else (1, "")
     low, high = row.get(f"{name}_low", np.nan), row.get(f"{name}_high", np.nan)
-    interval = "" if np.isnan(low) else f" [{form.format(scale * low)}, {form.format(scale * high)}]"
-    return f"{form.format(scale * value)}{unit}{interval}"
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    interval = "" if np.isnan(low) else f" [{scale * low:.2f}, {scale * high:.2f}]"
+    return f"{scale * value:.2f}{unit}{interval}"

@@ -275,8 +275,8 @@ class TrackedRun:
         self._tell("checkpoint", time_ms, path=place, step=step, values=values, registered_model=name)
         self.deliver()
 
-    def compare(self, metrics: Sequence[str], left_out: Collection[str]) -> None:
-        """Offer a view of this run and others like it: the parameters that differ, beside what came of them.
+    def offer_comparison_view(self, metrics: Sequence[str], left_out: Collection[str]) -> None:
+        """Offer a view of this run and others like it: the parameters that differ, beside the results.
 
         metrics: names as in metrics.json, `evaluation.yield.adaptive.reward`
         left_out: parameters that are never shown, with all below them

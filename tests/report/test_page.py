@@ -53,7 +53,7 @@ CLAIM = Claim(
 def make_page(name: str = "yield", results: Results = RESULTS) -> str:
     items = [FigureItem("A figure", "Upwards is <good>.", SVG), FigureItem("A film", "Left is left.", PNG, PNG)]
     sections = [Section("First part", "What it shows.", items), Section("Second part", "", [])]
-    provenance = Provenance("python -m negopipe +experiment=yield", 7, "seed: 7\n", {"torch": "2.13.0"})
+    provenance = Provenance("python -m negopipe +experiment=yield", "7", "seed: 7\n", {"torch": "2.13.0"})
     verdicts = headlines(results.evaluation, results.versus, FIXED_S)
     return build_page(name, verdicts, chapters(results, FIXED_S), [CLAIM], sections, provenance)
 

@@ -7,7 +7,11 @@ import pandas as pd
 import pytest
 from swept import make_run
 
-from negopipe.sweeping.learning_curves import learning_curves, main, read_curves
+from negopipe.sweeping import learning_curves as curves
+from negopipe.sweeping.compare import main
+from negopipe.sweeping.groups import group_runs
+from negopipe.sweeping.learning_curves import COLORS, drawn_groups, learning_curves
+from negopipe.sweeping.swept_runs import read_runs
 
 
 @pytest.fixture
@@ -22,6 +26,11 @@ def folder(tmp_path: Path) -> Path:
             history.loc[0, ["success_rate", "return_mean"]] = np.nan  # no episode was over yet
             history.to_csv(make_run(tmp_path, seed, rate, -8.0) / "history.csv", index=False)
     return tmp_path / "yield"
+
+
+def read_curves(folder: Path, by: list[str]) -> pd.DataFrame:
+    runs = read_runs([folder])
+    return curves.read_curves(runs, group_runs(runs, by))
 
 
 def test_runs_are_grouped_by_keys_of_their_config(folder: Path) -> None:
@@ -47,20 +56,47 @@ def test_a_sweep_too_short_for_an_episode_has_empty_panels(folder: Path) -> None
     assert not any(axis.get_lines() for axis in learning_curves(table).get_axes())
 
 
+def test_runs_of_one_seed_are_lines_of_their_own(folder: Path) -> None:
+    """Rates and seeds differ within the only group."""
+    table = read_curves(folder, ["reward.kind"])
+    label = learning_curves(table).get_axes()[0].get_lines()[0].get_label()
+    assert label == "paper (4 runs)"
+
+
+def test_a_run_that_ended_early_does_not_shorten_the_curve(folder: Path) -> None:
+    table = read_curves(folder, ["algorithm.rate"])
+    is_stopped = (table["group"] == "0.1") & (table["seed"] == 2) & (table["decisions"] > 3000)
+    slow, _ = learning_curves(table[~is_stopped]).get_axes()[0].get_lines()
+    assert slow.get_label() == "0.1 (1 seed)"
+    assert np.max(np.asarray(slow.get_xdata())) == 30.0
+
+
+def test_of_many_groups_those_with_the_highest_return_are_drawn(folder: Path) -> None:
+    one = read_curves(folder, ["reward.kind"]).query("seed == 1").head(30)
+    last = np.arange(2 * len(COLORS))[::-1]
+    table = pd.concat([one.assign(group=f"g{i}", return_mean=one["return_mean"] + i) for i in last])
+    assert drawn_groups(table) == [f"g{i}" for i in last[: len(COLORS)]]
+    assert len(learning_curves(table).get_axes()[0].get_lines()) == len(COLORS)
+
+
 def test_the_command_writes_table_and_figure(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(folder), "--by", "algorithm.rate"]) == 0
+    assert main([str(folder), "--by", "algorithm.rate", "--only", "curves"]) == 0
     target = folder.parent / "sweeps" / "yield"
     assert {path.name for path in target.iterdir()} == {f"learning_curves.{kind}" for kind in ("csv", "png", "svg")}
+    assert pd.read_csv(target / "learning_curves.csv")["group"].unique().tolist() == [0.1, 0.2]
+    assert main([str(folder), "--only", "curves"]) == 0
+    names = pd.read_csv(target / "learning_curves.csv")["group"].unique().tolist()
+    assert names == ["algorithm.rate=0.1", "algorithm.rate=0.2"]
     assert main([str(folder), "--by", "algorithm.nothing"]) == 1
-    assert "got algorithm.nothing" in capsys.readouterr().err
+    assert capsys.readouterr().err.endswith("got algorithm.nothing\n")
     for history in folder.glob("*/history.csv"):
         history.unlink()
-    assert main([str(folder), "--by", "algorithm.rate"]) == 1
-    assert "no run in it has a history.csv" in capsys.readouterr().err
+    assert main([str(folder), "--only", "curves"]) == 1
+    assert "left out: no run has a history.csv" in capsys.readouterr().out
 
 
 def test_the_figure_can_be_drawn_again_from_its_table(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(folder), "--by", "algorithm.rate", "--every", "10"]) == 0
+    assert main([str(folder), "--by", "algorithm.rate", "--every", "10", "--only", "curves"]) == 0
     target = folder.parent / "sweeps" / "yield"
     table = pd.read_csv(target / "learning_curves.csv")
     assert table.groupby("group")["decisions"].unique().map(list).tolist() == [[10_000, 20_000, 30_000]] * 2
@@ -73,5 +109,5 @@ def test_the_figure_can_be_drawn_again_from_its_table(folder: Path, capsys: pyte
     assert "other.csv: must have a column seed" in capsys.readouterr().err
     assert main([str(target / "none.csv")]) == 1
     assert "none.csv: no such file" in capsys.readouterr().err
-    assert main([str(folder)]) == 1
-    assert "--by must be keys of the config" in capsys.readouterr().err
+    assert main([str(target / "learning_curves.csv"), "--every", "2"]) == 1
+    assert "takes no options" in capsys.readouterr().err

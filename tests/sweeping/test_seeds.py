@@ -7,7 +7,11 @@ import pandas as pd
 import pytest
 from swept import make_run
 
-from negopipe.sweeping.seeds import across_seeds, by_seed, by_style, main, read_episodes
+from negopipe.sweeping import seeds
+from negopipe.sweeping.compare import main
+from negopipe.sweeping.groups import group_runs
+from negopipe.sweeping.seeds import across_seeds, by_seed, by_style
+from negopipe.sweeping.swept_runs import read_runs
 
 N = 40
 STYLES = np.tile([0.0, 6.0], N // 2)
@@ -48,6 +52,10 @@ def folder(tmp_path: Path) -> Path:
     )
     oracle.to_csv(tmp_path / "oracle.csv", index=False)
     return tmp_path / "yield"
+
+
+def read_episodes(folder: Path) -> pd.DataFrame:
+    return seeds.read_episodes(group_runs(read_runs([folder])))
 
 
 def test_a_row_per_seed_setting_and_planner(folder: Path) -> None:
@@ -105,28 +113,54 @@ def test_styles_pool_the_seeds_and_compare_on_the_same_tasks(folder: Path) -> No
     assert row["lead_low"] < 0.45 < row["lead_high"]
 
 
-def test_the_command_writes_the_tables(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(folder), "--oracle", str(folder.parent / "oracle.csv")]) == 0
+def test_the_command_writes_the_tables_and_shows_that_over_seeds(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(folder), "--oracle", str(folder.parent / "oracle.csv"), "--only", "seeds"]) == 0
     said = capsys.readouterr().out
     target = folder.parent / "sweeps" / "yield"
     assert {path.name for path in target.iterdir()} == {"seeds.csv", "across.csv", "styles.csv"}
-    assert "100.00 % [91.24, 100.00]" in said
+    assert "95.00 % [90.00, 100.00]" in said
+    assert not [name for name in ("seeds", "across", "styles") if "group" in pd.read_csv(target / f"{name}.csv")]
 
 
-def test_what_cannot_be_compared_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(folder), "--oracle", "nowhere.csv"]) == 1
-    assert "no such file" in capsys.readouterr().err
+def test_every_config_has_rows_of_its_own(folder: Path) -> None:
+    assert main([str(folder), "--only", "seeds"]) == 0
+    target = folder.parent / "sweeps" / "yield"
+    alone = {name: pd.read_csv(target / f"{name}.csv") for name in ("seeds", "across", "styles")}
+    evaluate(make_run(folder.parent, 1, 0.2, -3.0), 1, -3.0)
+    assert main([str(folder), "--only", "seeds"]) == 0
+    for name, own in alone.items():
+        table = pd.read_csv(target / f"{name}.csv")
+        assert table["group"].unique().tolist() == ["algorithm.rate=0.1", "algorithm.rate=0.2"]
+        first = table[table["group"] == "algorithm.rate=0.1"].drop(columns="group")
+        pd.testing.assert_frame_equal(first, own)
+
+
+def test_one_seed_per_config_makes_no_table_over_seeds(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for path in sorted(folder.glob("seed*"))[1:]:
+        path.rename(folder.parent / path.name)
+    assert main([str(folder), "--only", "seeds"]) == 0
+    assert "one per config: no table over seeds" in capsys.readouterr().out
+
+
+def test_seeds_that_cannot_be_put_together_are_left_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def left_out() -> str:
+        assert main([str(folder), "--only", "seeds"]) == 1
+        return capsys.readouterr().out
+
     evaluate(make_run(folder.parent, 4, 0.1, -3.0), 0, -3.0, shift_m=0.5)
-    assert main([str(folder)]) == 1
-    assert "drove other tasks than" in capsys.readouterr().err
-    evaluate(make_run(folder.parent, 1, 0.2, -3.0), 0, -3.0)
-    assert main([str(folder)]) == 1
-    assert "one run per seed" in capsys.readouterr().err
-    assert main([str(folder.parent / "other")]) == 1
-    assert "other" in capsys.readouterr().err
+    assert "left out: seed4-0.1-3 drove other tasks than seed1-0.1-0" in left_out()
+    evaluate(make_run(folder.parent, 1, 0.1, -3.0), 0, -3.0)
+    assert "left out: a group must have one run per seed (--sweep picks some), got seeds 1, 1, 2, 3, 4" in left_out()
+    for path in folder.glob("*/episodes.csv"):
+        path.unlink()
+    assert "left out: no run has been evaluated" in left_out()
 
 
-def test_an_oracle_of_other_tasks_is_refused(folder: Path) -> None:
-    oracle = pd.read_csv(folder.parent / "oracle.csv").assign(social_start_distance_m=1.0)
-    oracle.to_csv(folder.parent / "other.csv", index=False)
-    assert main([str(folder), "--oracle", str(folder.parent / "other.csv")]) == 1
+@pytest.mark.parametrize("oracle", ["nowhere.csv", "other.csv"])
+def test_an_oracle_of_other_tasks_is_refused(folder: Path, capsys: pytest.CaptureFixture[str], oracle: str) -> None:
+    table = pd.read_csv(folder.parent / "oracle.csv").assign(social_start_distance_m=1.0)
+    table.to_csv(folder.parent / "other.csv", index=False)
+    assert main([str(folder), "--oracle", str(folder.parent / oracle)]) == 1
+    assert capsys.readouterr().err.startswith("--oracle must be ")

@@ -19,7 +19,7 @@ def sweep(config: StoreConfig, *resolved: dict[str, Any], metric: str = METRIC) 
     for number, values in enumerate(resolved):
         with open_run(config, f"seed{values['seed']}-{number}", values) as run:
             run.log_metrics({metric.replace(".", "/"): -6.0}, step=1)
-            run.compare([METRIC], {"seed", "outputs"})
+            run.offer_comparison_view([METRIC], {"seed", "outputs"})
     assert run.run_id is not None
     return str(client(config).get_run(run.run_id).info.experiment_id)
 
@@ -71,7 +71,7 @@ def test_the_other_planners_come_last_and_folded_up(ready: StoreConfig) -> None:
     for seed in (1, 2):
         with open_run(ready, f"seed{seed}-charts", {"seed": seed}) as run:
             run.log_metrics(dict.fromkeys([*names, METRIC.replace(".", "/")], 0.0), step=1)
-            run.compare([METRIC], {"outputs"})
+            run.offer_comparison_view([METRIC], {"outputs"})
     assert run.run_id is not None
     experiment_id = str(client(ready).get_run(run.run_id).info.experiment_id)
     sections = state(ready, experiment_id)["compareRunSections"]
@@ -92,7 +92,7 @@ def test_the_charts_open_on_the_view_once_it_is_there(ready: StoreConfig) -> Non
         run.begin()
         assert run.charts is not None
         before = run.charts
-        run.compare([METRIC], ())
+        run.offer_comparison_view([METRIC], ())
         assert run.charts == f"{before}&viewStateShareKey=comparison"
     assert run.charts in chart_addresses(database_path(Path(ready.outputs)), 5000).values()
 
@@ -104,7 +104,7 @@ def test_a_view_fits_into_a_tag(ready: StoreConfig) -> None:
     assert len(client(ready).get_experiment(experiment_id).tags[TAG]) < 2000
     with open_run(ready, "seed1-many", {"seed": 1}) as run:
         run.log_metrics({f"evaluation/{'setting' * 10}/planner_{i}/reward": 0.0 for i in range(60)}, step=1)
-        run.compare([METRIC], {"outputs"})
+        run.offer_comparison_view([METRIC], {"outputs"})
     tag = client(ready).get_experiment(experiment_id).tags[TAG]
     assert len(tag) <= LONGEST_TAG
     assert "planner_7" not in tag
@@ -114,5 +114,5 @@ def test_telling_it_again_changes_nothing(ready: StoreConfig) -> None:
     experiment_id = sweep(ready, {"seed": 1}, {"seed": 2})
     before = client(ready).get_experiment(experiment_id).tags[TAG]
     with open_run(ready, "seed2-1", {"seed": 2}) as run:
-        run.compare([METRIC], {"seed", "outputs"})
+        run.offer_comparison_view([METRIC], {"seed", "outputs"})
     assert client(ready).get_experiment(experiment_id).tags[TAG] == before

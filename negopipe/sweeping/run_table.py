@@ -1,72 +1,44 @@
-"""What came of a sweep, by one command: `python -m negopipe.sweeping.summary outputs/yield`.
+"""The table of runs: a row per config with its objective, the best first and ready to paste."""
 
-A table of all runs of a name, the best config first and ready to paste, summary.csv and a figure in
-`outputs/sweeps/<name>/`. It reads run folders and needs no store.
-"""
-
-import argparse
 import json
 import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from negopipe.errors import UserError
 from negopipe.report.figures import render
+from negopipe.sweeping.console import show
+from negopipe.sweeping.groups import LeftOut
+from negopipe.sweeping.objective import objective
 from negopipe.sweeping.parallel_coordinates import parallel_coordinates
-from negopipe.sweeping.swept_runs import (
-    OBJECTIVE,
-    RUNS,
-    SEEDS,
-    SPREAD,
-    STATUS,
-    SweptRun,
-    differing_keys,
-    read_runs,
-    tabulate,
-)
+from negopipe.sweeping.swept_runs import SweptRun, as_json, differing_keys
 from negopipe.tracking.csv_file import CsvKind, write_csv
 from negopipe.tracking.names import without_implied
 from negopipe.tracking.record import as_command
 
 TABLE_NAME, FIGURE_NAME = "summary.csv", "parallel_coordinates"
-SUMMARY = CsvKind("negopipe.sweeping.summary", {OBJECTIVE: float, SPREAD: float, SEEDS: int, "*": str})
-"""summary.csv: a row per config, columns for the keys that differ and for what came of them."""
+OBJECTIVE, SPREAD, SEEDS, STATUS, RUNS = "objective", "objective_std", "seeds", "status", "runs"
+"""Columns of the table after those of the config."""
+SUMMARY = CsvKind("negopipe.sweeping.compare", {OBJECTIVE: float, SPREAD: float, SEEDS: int, "*": str})
+"""summary.csv: a row per config, columns for the keys that differ and for the objective."""
 N_SHOWN = 40
 """Rows of the table that are shown; summary.csv has all, and all keys that differ."""
 N_AXES = 10
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; 0, or 1 after a line that says what is wrong."""
-    parser = argparse.ArgumentParser(prog="python -m negopipe.sweeping.summary", description=__doc__)
-    parser.add_argument("folder", type=Path, help="outputs/<name>: the folder that holds the runs")
-    parser.add_argument("--sweep", help="only runs with this tag `sweep`")
-    parser.add_argument("--objective", nargs="+", metavar="KEY", help="of metrics.json; without it, the runs' own")
-    parser.add_argument("--minimize", action="store_true", help="the smallest objective is the best")
-    given = parser.parse_args(arguments)
-    try:
-        summarize(given.folder, given.sweep, given.objective, given.minimize)
-    except UserError as error:
-        print(error, file=sys.stderr)
-        return 1
-    return 0
+def write_table(target: Path, runs: Sequence[SweptRun], keys: Sequence[str] | None, minimize: bool) -> None:
+    """Print the table and the best config, write summary.csv and the figure.
 
-
-def summarize(folder: Path, sweep: str | None, objective: list[str] | None, minimize: bool) -> None:
-    """Print the table and the best config, write summary.csv and the figure."""
-    runs = read_runs(folder, sweep)
-    keys = objective or _own_objective(runs)
+    keys: of metrics.json, their mean is the objective; None = the objective of the runs' own configs
+    LeftOut where no config names an objective.
+    """
+    keys = keys or _own_objective(runs)
     table, differing = tabulate(runs, keys, minimize), differing_keys(runs)
     shown = without_implied(differing, [run.config for run in runs])
-    target = folder.parent / "sweeps" / (sweep or folder.name)
-    target.mkdir(parents=True, exist_ok=True)
     write_csv(target / TABLE_NAME, table, SUMMARY)
     _show(table, shown, keys)
     print(f"table      {target / TABLE_NAME}")
@@ -82,7 +54,35 @@ def summarize(folder: Path, sweep: str | None, objective: list[str] | None, mini
     name = table.iloc[0][RUNS].split()[0]
     best = next(run for run in runs if run.name == name)
     hint = "" if best.commands else " (add its experiment: the command is not recorded)"
-    print(f"best       {folder / name}{hint}\n\n  {paste(best, differing)}\n")
+    print(f"best       {best.folder}{hint}\n\n  {paste(best, differing)}\n")
+
+
+def tabulate(runs: Sequence[SweptRun], keys: Sequence[str], minimize: bool = False) -> pd.DataFrame:
+    """A row per config, the best first: the keys that differ, mean and spread of the objective over its seeds.
+
+    keys: of metrics.json, their mean is the objective
+    Columns are `differing_keys(runs)`, OBJECTIVE (NaN where no seed has one), SPREAD (standard deviation, NaN for
+    fewer than two), SEEDS (number with an objective), STATUS and RUNS (names of folders, the best first).
+    """
+    differing = differing_keys(runs)
+    groups: dict[str, list[SweptRun]] = {}
+    for run in runs:
+        groups.setdefault(as_json([run.config.get(key) for key in differing]), []).append(run)
+    rows = [_row(group, differing, keys, minimize) for group in groups.values()]
+    table = pd.DataFrame(rows, columns=[*differing, OBJECTIVE, SPREAD, SEEDS, STATUS, RUNS], dtype=object)
+    numbers = {name: pd.to_numeric(table[name]) for name in (OBJECTIVE, SPREAD, SEEDS)}
+    return table.assign(**numbers).sort_values(OBJECTIVE, ascending=minimize, kind="stable", ignore_index=True)
+
+
+def _row(group: list[SweptRun], differing: list[str], keys: Sequence[str], minimize: bool) -> list[Any]:
+    values = {run.name: objective(run.metrics, keys) for run in group}
+    known = pd.Series({name: value for name, value in values.items() if value is not None}, dtype=float)
+    best_first = [*known.sort_values(ascending=minimize).index, *(name for name in values if name not in known)]
+    statuses = [run.status for run in group]
+    is_mixed = len(set(statuses)) > 1
+    status = f"{statuses.count('finished')} of {len(group)} finished" if is_mixed else statuses[0]
+    config = [group[0].config.get(key) for key in differing]
+    return [*config, known.mean(), known.std(), len(known), status, " ".join(best_first)]
 
 
 def paste(run: SweptRun, differing: Sequence[str]) -> str:
@@ -99,12 +99,14 @@ def _is_seed(override: str) -> bool:
     return override.lstrip("+").startswith("seed=")
 
 
-def _own_objective(runs: list[SweptRun]) -> list[str]:
-    """What the runs' configs say, which is flat here but for a list."""
-    found = next((run.config["objective"] for run in runs if run.config.get("objective")), None)
-    if found is None:
-        raise UserError("--objective must be given, the config of no run has one")
-    return list(found)
+def _own_objective(runs: Sequence[SweptRun]) -> list[str]:
+    """The objective of the first run's config; a line says so where the runs have several."""
+    found = [run.config["objective"] for run in runs if run.config.get("objective")]
+    if not found:
+        raise LeftOut("no config has an objective, --objective names one")
+    if any(other != found[0] for other in found):
+        print("objective  that of the first run; the others have other ones (--objective names one for all)")
+    return list(found[0])
 
 
 def _show(table: pd.DataFrame, shown: Sequence[str], keys: Sequence[str]) -> None:
@@ -119,10 +121,7 @@ def _show(table: pd.DataFrame, shown: Sequence[str], keys: Sequence[str]) -> Non
         values = [_cell(row[key]) for key in shown]
         numbers = [_cell(row[OBJECTIVE]), _cell(row[SPREAD]), str(row[SEEDS])]
         view.add_row(str(place), *map(escape, values), *numbers, row[STATUS])
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=140)
-    console.print(view)
+    show(view)
     if len(table) > N_SHOWN:
         print(f"... and {len(table) - N_SHOWN} more")
 
@@ -140,7 +139,3 @@ def _cell(value: Any) -> str:
 
 def _override_text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

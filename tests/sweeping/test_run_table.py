@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 from swept import KEYS, make_run
 
+from negopipe.sweeping.compare import main
 from negopipe.sweeping.parallel_coordinates import parallel_coordinates
-from negopipe.sweeping.summary import main
-from negopipe.sweeping.swept_runs import differing_keys, flat, read_runs, tabulate
+from negopipe.sweeping.run_table import tabulate
+from negopipe.sweeping.swept_runs import differing_keys, flat, read_runs
 from negopipe.tracking.record import RunRecord, write_record
 
 
@@ -23,7 +24,7 @@ def outputs(tmp_path: Path) -> Path:
 
 
 def test_seeds_of_a_config_are_one_row_the_best_first(outputs: Path) -> None:
-    runs = read_runs(outputs / "yield")
+    runs = read_runs([outputs / "yield"])
     assert differing_keys(runs) == ["algorithm.rate"]
     table = tabulate(runs, KEYS)
     assert table["algorithm.rate"].tolist() == [0.2, 0.1, 0.4]
@@ -38,7 +39,7 @@ def test_seeds_of_a_config_are_one_row_the_best_first(outputs: Path) -> None:
 
 def test_a_run_without_an_objective_comes_last(outputs: Path) -> None:
     make_run(outputs, 1, 0.9, None, finished=[])
-    table = tabulate(read_runs(outputs / "yield"), KEYS)
+    table = tabulate(read_runs([outputs / "yield"]), KEYS)
     assert table["algorithm.rate"].tolist()[-1] == 0.9
     assert table["status"].tolist()[-1] == "unfinished"
     assert table["seeds"].tolist()[-1] == 0
@@ -46,12 +47,12 @@ def test_a_run_without_an_objective_comes_last(outputs: Path) -> None:
 
 def test_what_changes_no_result_makes_no_column(outputs: Path) -> None:
     make_run(outputs, 3, 0.1, -1.0, n_threads=7, outputs="elsewhere", tracking={"uri": "x"}, stages=["train"])
-    assert differing_keys(read_runs(outputs / "yield")) == ["algorithm.rate"]
+    assert differing_keys(read_runs([outputs / "yield"])) == ["algorithm.rate"]
 
 
 def test_a_key_that_a_run_lacks_differs(outputs: Path) -> None:
     make_run(outputs, 1, 0.1, -1.0, dynamics={"lag_s": 0.1})
-    table = tabulate(read_runs(outputs / "yield"), KEYS)
+    table = tabulate(read_runs([outputs / "yield"]), KEYS)
     assert table["dynamics.lag_s"].tolist() == [0.1, None, None, None]
 
 
@@ -62,7 +63,7 @@ def test_what_follows_from_the_kind_of_algorithm_is_not_shown(
     ppo = {"kind": "ppo", "epochs": 4, "advantage": {"kind": "gae"}}
     for seed, algorithm in enumerate((acktr, ppo, ppo | {"rate": 0.5}), start=1):
         make_run(tmp_path, seed, 0.0, -1.0, algorithm={"rate": 0.1} | algorithm)
-    assert main([str(tmp_path / "yield")]) == 0
+    assert main([str(tmp_path / "yield"), "--only", "table"]) == 0
     header = capsys.readouterr().out.partition("└")[0]
     assert "kind" in header
     assert "rate" in header
@@ -77,24 +78,24 @@ def test_lists_of_mappings_are_flat_and_others_whole() -> None:
 def test_a_command_writes_table_and_figure_and_prints_what_to_paste(
     outputs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([str(outputs / "yield")]) == 0
+    assert main([str(outputs / "yield"), "--only", "table"]) == 0
     shown = capsys.readouterr().out
     assert "  python -m negopipe +experiment=yield algorithm.rate=0.2\n" in shown
     target = outputs / "sweeps" / "yield"
     assert pd.read_csv(target / "summary.csv")["objective"].tolist() == [-3.0, -7.0, -9.0]
     assert (target / "parallel_coordinates.png").read_bytes().startswith(b"\x89PNG")
     assert "objective" in (target / "parallel_coordinates.svg").read_text(encoding="utf-8")
-    assert main([str(outputs / "yield"), "--minimize"]) == 0
+    assert main([str(outputs / "yield"), "--minimize", "--only", "table"]) == 0
     assert "algorithm.rate=0.4\n" in capsys.readouterr().out
 
 
 def test_another_objective_and_one_sweep_only(outputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make_run(outputs, 1, 0.7, -1.0, tags={"sweep": "other", "overrides": "'name=a b' algorithm.rate=0.7"})
-    assert main([str(outputs / "yield"), "--sweep", "other", "--objective", KEYS[0]]) == 0
+    assert main([str(outputs / "yield"), "--sweep", "other", "--objective", KEYS[0], "--only", "table"]) == 0
     assert "  python -m negopipe 'name=a b' algorithm.rate=0.7\n" in capsys.readouterr().out
     assert (outputs / "sweeps" / "other" / "summary.csv").exists()
     assert not (outputs / "sweeps" / "other" / "parallel_coordinates.png").exists(), "nothing differs in one run"
-    assert main([str(outputs / "yield"), "--objective", "evaluation.nothing"]) == 0
+    assert main([str(outputs / "yield"), "--objective", "evaluation.nothing", "--only", "table"]) == 0
     assert "best       none: no run has all of evaluation.nothing" in capsys.readouterr().out
 
 
@@ -102,7 +103,7 @@ def test_overrides_that_are_not_recorded_are_made_of_what_differs(
     outputs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make_run(outputs, 1, 0.7, -1.0, tags={}, reward={"kind": "strict", "list": [1, 2]})
-    assert main([str(outputs / "yield")]) == 0
+    assert main([str(outputs / "yield"), "--only", "table"]) == 0
     expected = "  python -m negopipe algorithm.rate=0.7 reward.kind=strict 'reward.list=[1, 2]'\n"
     assert expected in capsys.readouterr().out
 
@@ -118,36 +119,17 @@ def test_what_was_run_later_in_the_best_runs_folder_is_not_its_command(
     }
     finished = {stage: {"config": "c", "source": "s", "overrides": text} for stage, text in made.items()}
     write_record(folder, RunRecord("key", "s", {"overrides": made["replay"]}, finished))
-    assert main([str(outputs / "yield")]) == 0
+    assert main([str(outputs / "yield"), "--only", "table"]) == 0
     expected = "\n\n  python -m negopipe 'stages=[train]'\n  python -m negopipe 'stages=[evaluate]'\n\n"
     assert capsys.readouterr().out.endswith(expected)
 
 
 def test_a_command_without_overrides_is_recorded(outputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make_run(outputs, 1, 0.7, -1.0, tags={"overrides": ""})
-    assert main([str(outputs / "yield")]) == 0
+    assert main([str(outputs / "yield"), "--only", "table"]) == 0
     shown = capsys.readouterr().out
     assert shown.endswith("\n\n  python -m negopipe\n\n")
     assert "not recorded" not in shown
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (["nowhere"], "the folder must be outputs/<name> with runs in it, got nowhere"),
-        (["yield", "--sweep", "x"], "--sweep must be one of rates, got x"),
-    ],
-)
-def test_what_cannot_be_summarized_is_one_line(
-    outputs: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    line: str,
-) -> None:
-    monkeypatch.chdir(outputs)
-    assert main(arguments) == 1
-    assert capsys.readouterr().err == f"{line}\n"
 
 
 def test_the_figure_has_an_axis_per_key_and_one_for_the_objective() -> None:
