@@ -72,7 +72,7 @@ def cell(
     share = {outcome: float((rows["outcome"] == outcome).mean()) for outcome in OUTCOMES}
     first = rows["passes_first"][rows["passes_first"] != "none"]
     return {
-        "setting": trace.family,
+        "setting": trace.setting,
         "ego_horizon_s": ego_horizon_s,
         "social_style_s": social_style_s,
         "n_episodes": len(rows),

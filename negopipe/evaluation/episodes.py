@@ -58,7 +58,7 @@ def drive_episodes(
     Outcomes do not depend on `n_worlds`: worlds do not know of each other.
 
     reward_config: what the report counts, whatever the policy was trained with
-    names: (planner, family) for the record
+    names: (planner, setting) of the record
     is_lockstep: the driver is asked for all worlds of a batch at every decision, also for those whose episode is over;
         else for the running ones only, which saves their time
     """
@@ -67,7 +67,7 @@ def drive_episodes(
     ]
     parts = [_record(game, _drivers(game, make_ego, batch), batch, reward_config, is_lockstep) for batch in batches]
     joined = {name: np.concatenate([part[name] for part in parts], axis=EPISODE_AXIS[name]) for name in parts[0]}
-    return Trace(planner=names[0], family=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
+    return Trace(planner=names[0], setting=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
 
 
 def warm_up(game: Game, make_ego: MakeDriver, tasks: Task) -> None:

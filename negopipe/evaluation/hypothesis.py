@@ -97,7 +97,7 @@ class Evidence:
         self.rng = np.random.default_rng(RANDOM_SEED)
         self.fixed_s = {name: fixed_s[name] for name in table["planner"].unique() if name in fixed_s}
         self.fixed = sorted(self.fixed_s, key=self.fixed_s.__getitem__)
-        self.psi = {trace.family: behaviour_index(trace) for trace in traces if trace.planner == ADAPTIVE}
+        self.psi = {trace.setting: behaviour_index(trace) for trace in traces if trace.planner == ADAPTIVE}
         compared = table[table["planner"].isin([ADAPTIVE, *self.fixed])]
         by_task = compared.groupby(["setting", "episode"])["planner"]
         is_driven_by_all = by_task.transform("nunique") == 1 + len(self.fixed)  # some may have driven the first only

@@ -43,7 +43,7 @@ def episodes(trace: Trace, corridor_length_m: float) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "planner": trace.planner,
-            "setting": trace.family,
+            "setting": trace.setting,
             "episode": np.arange(len(trace.n_steps)),
             "ego_start_distance_m": trace.start_distance_m[:, EGO],
             "social_start_distance_m": trace.start_distance_m[:, NEAREST],

@@ -49,7 +49,7 @@ def replay(
     """The record of E episodes in which the ego used the horizons that are given.
 
     horizon_s: of each episode [T] s, its decisions
-    names: (planner, family) for the record
+    names: (planner, setting) of the record
     """
     choose = sequence_planner(_together(horizon_s, game.simulator.scenario.episode_steps).to(tasks.family.device))
     ego = by_horizon(game, choose if watch is None else _watched(choose, watch))

@@ -121,12 +121,12 @@ def behaviour(traces: Sequence[Trace], fixed_s: FixedHorizons) -> Figure:
 
     A curve ends where fewer than a quarter of the planner's episodes still run.
     """
-    settings = _families(traces)
+    settings = _settings(traces)
     figure = Figure((WIDTH_IN, 0.6 + 1.9 * len(settings)), layout="constrained")
     axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
     colors = planner_colors([trace.planner for trace in traces], fixed_s)
     for axis, setting in zip(axes, settings, strict=True):
-        for trace in (trace for trace in traces if trace.family == setting):
+        for trace in (trace for trace in traces if trace.setting == setting):
             _behaviour_curve(axis, trace, colors[trace.planner])
         axis.axhline(0, color=QUIET, linewidth=0.8)
         axis.set(ylim=(-95, 95), ylabel="behaviour index ψ [°]", title=setting_label(setting))
@@ -166,7 +166,7 @@ def horizons(traces: Sequence[Trace]) -> Figure:
             axis.stairs(base + share, edges_s, baseline=base, fill=True, color=horizon_color(level))
             base = base + share
         axis.stairs(base, edges_s, baseline=None, color=INK, linewidth=0.8)
-        axis.set(ylim=(0, 100), ylabel="episodes [%]", title=setting_label(trace.family))
+        axis.set(ylim=(0, 100), ylabel="episodes [%]", title=setting_label(trace.setting))
     axes[-1].set(xlabel="time [s]", xlim=(0, max(trace.n_steps.max() * trace.dt_s for trace in adaptive)))
     _horizon_legend(figure, levels)
     return figure
@@ -190,7 +190,7 @@ def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
         for mouth_m in (0.0, corridor_length_m):
             axis.axvline(mouth_m, color="white", linewidth=2.2)
             axis.axvline(mouth_m, color=INK, linestyle="--", linewidth=1.0)
-        axis.set(ylim=(0, 100), ylabel="decisions [%]", title=setting_label(trace.family))
+        axis.set(ylim=(0, 100), ylabel="decisions [%]", title=setting_label(trace.setting))
         axis.text(corridor_length_m / 2, 102, "corridor", ha="center", va="bottom", color=QUIET, fontsize=8.5)
     axes[-1].set(xlabel="ego from the mouth of the corridor [m]", xlim=(edges_m[0], edges_m[-1]))
     _horizon_legend(figure, levels)
@@ -211,7 +211,7 @@ def space_time(
 ) -> Figure:
     """One episode under every planner: where both vehicles are along the road's reference line over time.
 
-    traces: of one family; the ego's line has the colour of the prediction horizon of that decision
+    traces: of one setting; the ego's line has the colour of the prediction horizon of that decision
     corridor_sigma_m: where the corridor begins and ends on the line, which the ego drives along
     """
     half_m = (corridor_sigma_m[1] - corridor_sigma_m[0]) / 2
@@ -317,8 +317,8 @@ def settings_and_planners(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     return list(table["setting"].unique()), list(table["planner"].unique())
 
 
-def _families(traces: Sequence[Trace]) -> list[str]:
-    return list(dict.fromkeys(trace.family for trace in traces))
+def _settings(traces: Sequence[Trace]) -> list[str]:
+    return list(dict.fromkeys(trace.setting for trace in traces))
 
 
 def _planner_legend(figure: Figure, colors: Mapping[str, str], fixed_s: FixedHorizons) -> None:

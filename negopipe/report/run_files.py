@@ -39,7 +39,7 @@ def in_order(table: pd.DataFrame, settings: list[str]) -> pd.DataFrame:
 
 def by_setting(traces: list[Trace], settings: list[str], planners: Sequence[str]) -> dict[str, list[Trace]]:
     """Traces of each setting; `planners` must be among them."""
-    grouped = {setting: [trace for trace in traces if trace.family == setting] for setting in settings}
+    grouped = {setting: [trace for trace in traces if trace.setting == setting] for setting in settings}
     for group in grouped.values():
         named(group, planners)
         _check_same_tasks(group)
@@ -56,7 +56,7 @@ def _check_same_tasks(group: list[Trace]) -> None:
         )
         if not is_same:
             planners = f"{first.planner} and {trace.planner}"
-            raise UserError(f"traces.npz: {planners} drove different tasks in {first.family}; evaluate them anew")
+            raise UserError(f"traces.npz: {planners} drove different tasks in {first.setting}; evaluate them anew")
 
 
 def adaptive_of(group: list[Trace]) -> Trace:

@@ -148,9 +148,9 @@ def films_section(
 def filmed_alone(report: ReportConfig, adaptive: Trace) -> dict[str, int]:
     """Name of the film -> episode of the adaptive planner: typical ones and the worst; none twice."""
     typical = animation.choose_episodes(adaptive, report.n_animations)
-    named = {f"{adaptive.family}_{ADAPTIVE}_{rank}": episode for rank, episode in enumerate(typical, start=1)}
+    named = {f"{adaptive.setting}_{ADAPTIVE}_{rank}": episode for rank, episode in enumerate(typical, start=1)}
     worst = animation.worst_episode(adaptive)
-    return named if worst in typical or not typical else named | {f"{adaptive.family}_{ADAPTIVE}_worst": worst}
+    return named if worst in typical or not typical else named | {f"{adaptive.setting}_{ADAPTIVE}_worst": worst}
 
 
 def _film(
@@ -169,7 +169,7 @@ def _film(
     still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, fixed_s, policy_trace)
     title, reading = caption(
         "film" if policy_trace is None else "film_alone",
-        setting=setting_label(trace.family),
+        setting=setting_label(trace.setting),
         episode=episode,
         planners=", ".join(planner_label(shown.planner, fixed_s) for shown in traces),
         which="the worst" if name.endswith("_worst") else "a typical one",

@@ -18,10 +18,10 @@ import torch
 from pydantic import Field
 from torch import Generator, Tensor
 
-from negopipe.game.game import Game
+from negopipe.game.game import Game, joint_horizon
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, PositiveInt, schema
-from negopipe.simulation.state import EGO, Task, World
+from negopipe.simulation.state import Task, World
 from negopipe.tensors.tree import map_tensors, tree_where
 
 SHIFT_CHANCE = 0.3
@@ -93,9 +93,8 @@ class Rollouts:
         n_steps = torch.zeros_like(actions[:, 0])
         world, rows = self.game.simulator.reset(tasks), torch.arange(len(tasks), device=actions.device)
         while len(rows) > 0:
-            horizon = world.style_horizon.clone()
-            horizon[:, EGO] = self._horizons[actions[rows, world.step]]
-            world, events = self.game.drive(world, horizon)
+            chosen = self._horizons[actions[rows, world.step]]
+            world, events = self.game.drive(world, joint_horizon(world, chosen))
             paid[rows] += reward(self.reward_config, events.is_collision, events.is_success).double()
             n_steps[rows] = world.step
             is_over = events.is_terminated | events.is_truncated

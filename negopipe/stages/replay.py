@@ -110,7 +110,7 @@ def _check_same(config: "RunConfig", folder: Path, which: EpisodeId, row: pd.Ser
         if driven[name] != stored[name]:
             said = f"{name} {driven[name]} for {stored[name]}"
             raise UserError(f"episode {config.episode} must come out as evaluated, got {said}")
-    kept = [t for t in load_traces(folder / "traces.npz") if (t.family, t.planner) == (which.setting, which.planner)]
+    kept = [t for t in load_traces(folder / "traces.npz") if (t.setting, t.planner) == (which.setting, which.planner)]
     is_kept = is_exact and bool(kept) and which.episode < len(kept[0].n_steps)
     if is_kept:
         _check_bits(config, which, kept[0], trace)

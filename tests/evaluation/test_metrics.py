@@ -24,7 +24,7 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
     progress = (travelled - start).astype(np.float32)
     return Trace(
         planner="fixed_2",
-        family="push",
+        setting="push",
         dt_s=DT_S,
         start_distance_m=start,
         style_horizon_s=np.array([[np.nan, 6.0]], dtype=np.float32),

@@ -46,7 +46,7 @@ def make_trace(social_x_m: list[list[float]]) -> Trace:
     facing = np.float32([0.0, *[np.pi] * (n_vehicles - 1)])
     return Trace(
         planner="fixed_0",
-        family="push",
+        setting="push",
         dt_s=0.2,
         start_distance_m=np.zeros((1, n_vehicles)),
         style_horizon_s=np.zeros((1, n_vehicles)),

@@ -86,7 +86,7 @@ def _finish(
     slope = np.gradient(_offset(s), axis=0) / np.maximum(np.gradient(s, axis=0), 0.05)
     return Trace(
         planner=planner,
-        family=family,
+        setting=family,
         dt_s=DT_S,
         start_distance_m=start.astype(np.float32),
         style_horizon_s=np.tile(np.float32([np.nan, STYLE_S[family]]), (n_episodes, 1)),

@@ -105,7 +105,7 @@ def test_the_behaviour_index_is_read_from_the_drives(traces: list[Trace]) -> Non
 
 def test_what_was_not_driven_is_not_tested(traces: list[Trace]) -> None:
     table = made_up()
-    push = judged(table[table["setting"] == "push"], [trace for trace in traces if trace.family == "push"])
+    push = judged(table[table["setting"] == "push"], [trace for trace in traces if trace.setting == "push"])
     assert push[1].verdict != "not tested"
     assert all(push[number].verdict == "not tested" for number in (4, 5, 6, 7, 8, 9))
     alone = judged(table[table["planner"] == "adaptive"], traces)
@@ -143,7 +143,7 @@ def test_a_single_episode_is_not_enough_to_tell(traces: list[Trace]) -> None:
 
 def test_claims_of_the_papers_settings_are_not_tested_in_others(traces: list[Trace]) -> None:
     elsewhere = made_up().assign(setting="elsewhere")
-    found = judged(elsewhere, [replace(trace, family="elsewhere") for trace in traces])
+    found = judged(elsewhere, [replace(trace, setting="elsewhere") for trace in traces])
     assert {claim.verdict for claim in found.values()} == {"not tested"}
 
 

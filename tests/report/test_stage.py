@@ -160,9 +160,9 @@ def test_any_planners_of_any_name_make_a_report(
         run,
         own,
         [
-            replace(trace.first(1), planner=called[trace.planner], family=setting)
+            replace(trace.first(1), planner=called[trace.planner], setting=setting)
             for trace in traces
-            if trace.family == "push" and trace.planner in called
+            if trace.setting == "push" and trace.planner in called
         ],
     )
     config = Config(side_by_side=tuple(name for name, _ in planners.values()), animation_fps=1)
