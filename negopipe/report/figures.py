@@ -19,6 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from negopipe.evaluation import measures
 from negopipe.evaluation.metrics import behaviour_index, running
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES, Trace
@@ -44,20 +45,19 @@ def outcome_legend(figure: Figure, outcomes: Collection[str]) -> None:
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0, columnspacing=1.0)
 
 
+COMPARED = ("driving_time_s", "suspend_count", "suspend_time_s", "reward")
+"""Measures whose distributions the paper compares."""
+
+
 @styled
 def comparison(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
-    """The paper's bars: arrivals, driving time, suspensions, time at rest and reward of every planner.
+    """The paper's measures of every planner: arrivals and the distributions of `COMPARED`.
 
     Boxes hold the middle half of the episodes, whiskers reach from the 10th to the 90th percentile, the line
     is the median, the dot and the number are the mean.
     """
     settings, planners = settings_and_planners(table)
-    measures = {
-        "driving_time_s": "driving time of arrivals [s]",
-        "suspend_count": "suspensions [count]",
-        "suspend_time_s": "time at rest [s]",
-        "reward": "reward [sum of Eq. 3]",
-    }
+    drawn = [measure for name in COMPARED for measure in measures.MEASURES if measure.name == name]
     size = (WIDTH_IN, 1.0 + (0.35 + 0.16 * len(planners)) * 5)
     figure = Figure(size, layout="constrained")
     axes = figure.subplots(5, len(settings), sharex="row", sharey=True, squeeze=False)
@@ -66,9 +66,9 @@ def comparison(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
         rows = table[table["setting"] == setting]
         by_planner = [rows[rows["planner"] == planner] for planner in planners]
         _arrival_bars(axes[0, column], by_planner, list(colors.values()))
-        for axis, (measure, label) in zip(axes[1:, column], measures.items(), strict=True):
-            _boxes(axis, [part[measure].dropna().to_numpy() for part in by_planner], list(colors.values()))
-            axis.set_xlabel(label)
+        for axis, measure in zip(axes[1:, column], drawn, strict=True):
+            _boxes(axis, [part[measure.column].dropna().to_numpy() for part in by_planner], list(colors.values()))
+            axis.set_xlabel(measure.heading)
         axes[0, column].set_title(setting_label(setting))
     axes[0, 0].set_yticks(range(len(planners)), [planner_label(planner, fixed_s) for planner in planners])
     axes[0, 0].set_ylim(len(planners) - 0.5, -0.5)

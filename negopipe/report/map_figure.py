@@ -106,7 +106,7 @@ def _frame(axis: Axes, horizons: list[float], styles: list[float]) -> None:
 
 
 MEASURES = {"ego_passes_first_rate": "passing first more often", "smallest_gap_m": "coming closer"}
-VERDICTS = {HOLDS: "holds in", EQUAL: "makes no difference in", FAILS: "does not hold in", UNKNOWN: "cannot be told in"}
+VERDICTS = {HOLDS: "holds in", EQUAL: "makes no difference in", FAILS: "does not hold in", UNKNOWN: "is undecided in"}
 
 
 def reading(found: Sequence[Trend]) -> str:

@@ -12,7 +12,9 @@ import torch
 from negopipe.agents.driver import ChooseHorizon, fixed_horizon
 from negopipe.agents.horizon_drivers import by_horizon, sequence_planner
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.metrics import episodes, running, summary
+from negopipe.evaluation.episodes_file import Drives, episodes
+from negopipe.evaluation.measures import summary
+from negopipe.evaluation.metrics import running
 from negopipe.evaluation.names import fixed_name
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.game.game import Game
@@ -37,6 +39,15 @@ PARTS_NAME = "oracle"
 """Folder of a run in which the settings that are done wait for the others."""
 CONVERGED = 0.05
 """A search is said to have converged if twice the budget gains less than this, in mean return."""
+
+
+COLUMNS = (
+    *("setting", "episode", "ego_start_distance_m", "social_start_distance_m", "style_horizon_s"),
+    *("outcome", "reward", "ego_time_s", "social_time_s", "horizons"),
+)
+"""Columns of episodes.csv that oracle.csv repeats."""
+MEASURED = ("planner", "driving_time_s", *COLUMNS)
+"""Columns of episodes.csv that the stage computes."""
 
 
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
@@ -66,7 +77,7 @@ def _search(
     tasks = oracle_tasks(config, game, setting)
     half, best = find(config, game, tasks, setting, progress)
     trace = play(config, game, tasks, best, setting)
-    own = episodes(trace, config.scenario.road.corridor_length_m)
+    own = episodes(Drives.of(config, trace), MEASURED)
     fixed = fixed_episodes(config, game, tasks, setting)
     measures = _measures(own, fixed, half, best)
     _say(setting, measures)
@@ -103,9 +114,10 @@ def play(config: "RunConfig", game: Game, tasks: Task, best: Sequences, setting:
 
 def fixed_episodes(config: "RunConfig", game: Game, tasks: Task, setting: str) -> dict[float, pd.DataFrame]:
     """`metrics.episodes` of each fixed horizon among the ego's choices."""
-    horizons_s, length_m = list(config.policy.horizons_s), config.scenario.road.corridor_length_m
-    traces = {h: _drive(config, game, fixed_horizon(h), tasks, (fixed_name(h), setting)) for h in horizons_s}
-    return {h: episodes(trace, length_m) for h, trace in traces.items()}
+    traces = {
+        h: _drive(config, game, fixed_horizon(h), tasks, (fixed_name(h), setting)) for h in config.policy.horizons_s
+    }
+    return {h: episodes(Drives.of(config, trace), MEASURED) for h, trace in traces.items()}
 
 
 def _drive(config: "RunConfig", game: Game, choose: ChooseHorizon, tasks: Task, names: tuple[str, str]) -> Trace:
@@ -126,9 +138,7 @@ def table(own: pd.DataFrame, fixed: dict[float, pd.DataFrame]) -> pd.DataFrame:
         for h, each in fixed.items()
         for column in ("outcome", "reward")
     }
-    columns = "setting episode ego_start_distance_m social_start_distance_m style_horizon_s outcome reward "
-    columns += "ego_time_s social_time_s horizons"
-    return own[columns.split()].assign(
+    return own[[*COLUMNS]].assign(
         best_fixed_horizon_s=np.array(list(fixed))[returns.argmax(0)],
         best_fixed_reward=returns.max(0),
         **beside,

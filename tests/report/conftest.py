@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from negopipe.evaluation.metrics import episodes
-from negopipe.evaluation.safety import safety
+from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.trace import Trace
 from negopipe.report.scene import Scene
 from negopipe.simulation.scenario import VehicleConfig
@@ -167,7 +166,7 @@ def traces() -> list[Trace]:
 @pytest.fixture(scope="session")
 def table(traces: list[Trace]) -> pd.DataFrame:
     vehicle = VehicleConfig(length_m=4.5, width_m=1.8)
-    rows = [episodes(trace, CORRIDOR_M).join(safety(trace, vehicle, 8.0)) for trace in traces]
+    rows = [episodes(Drives(trace, CORRIDOR_M, vehicle, 8.0)) for trace in traces]
     return pd.concat(rows, ignore_index=True)
 
 

@@ -9,7 +9,7 @@ from tracked import RecordedRun
 
 from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.comparison import versus_adaptive
-from negopipe.evaluation.metrics import summary
+from negopipe.evaluation.measures import summary
 from negopipe.report.description import log_summary, run_description
 
 

@@ -20,7 +20,7 @@ from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP
 from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes_file import EPISODES
-from negopipe.evaluation.metrics import summary
+from negopipe.evaluation.measures import summary
 from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
 from negopipe.report import labels

@@ -22,8 +22,8 @@ def test_rates_have_intervals_and_the_best_is_marked() -> None:
 
 def test_what_there_is_none_of_is_none() -> None:
     _, drove, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)}, {}, FIXED_S)
-    column = drove.columns.index("time of arrivals [s]")
-    assert [row.cells[column].text for row in drove.rows] == ["14.0", "none"]
+    column = drove.columns.index("driving time [s]")
+    assert [row.cells[column].text for row in drove.rows] == ["14.00", "none"]
     assert not any(cell.is_best for row in drove.rows for cell in row.cells)
 
 
