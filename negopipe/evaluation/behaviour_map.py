@@ -98,14 +98,14 @@ HOLDS, FAILS, EQUAL, UNKNOWN = "holds", "does not hold", "no difference", "undec
 other direction somewhere; it is the same for all; fewer than two horizons have a value."""
 
 CLAIMED = {"ego_passes_first_rate": (-1, 1e-9), "smallest_gap_m": (1, 0.01)}
-"""Measure -> its sign of change as the ego's horizon grows, and the change that counts as none (1 cm of gap)."""
+"""Measure -> the claimed sign of its change with a longer horizon of the ego, and the change that counts as none."""
 
 
 @dataclass(frozen=True)
 class Trend:
     """Claim 8 for one measure, in one setting against one style.
 
-    turn: ((horizon, value), (next horizon, value)), the largest step the wrong way; None unless it fails
+    turn: ((horizon, value), (next horizon, value)), the largest step against the claim; None unless the claim fails
     """
 
     setting: str
@@ -129,7 +129,7 @@ def trends(table: pd.DataFrame) -> list[Trend]:
 def _judge(
     points: Sequence[tuple[float, float]], sign: int, tolerance: float
 ) -> tuple[str, tuple[tuple[float, float], tuple[float, float]] | None]:
-    """Verdict and turn of (horizon, value) in the order of the horizons."""
+    """Verdict and turn of the points (horizon, value) in the order of the horizons."""
     if len(points) < 2:
         return UNKNOWN, None
     values = np.array([value for _, value in points])

@@ -1,8 +1,8 @@
-"""The paper's figures and a few more, drawn from the evaluation's table, its traces and the training history.
+"""Figures of the evaluation's table, its traces and the training history, the paper's among them.
 
 Every function takes data and returns a matplotlib Figure 4.4 inches wide: a column in print, and still
 readable on a phone. Planner colours are the same in every figure: a fixed horizon has the colour of its
-horizon, from amber (0 s, sees nobody coming) to navy (6 s, careful). The colours stay apart under the three
+horizon, from amber (0 s, no prediction) to navy (6 s, cautious). The colours stay apart under the three
 common colour vision deficiencies (smallest CIE76 difference 27).
 """
 
@@ -40,7 +40,7 @@ from negopipe.simulation.state import EGO
 
 
 def outcome_legend(figure: Figure, outcomes: Collection[str]) -> None:
-    """A legend above the figure of those of `outcomes`, in one order everywhere."""
+    """A legend of `outcomes` above the figure, in the same order everywhere."""
     handles = [Patch(color=c, label=outcome_label(name)) for name, c in OUTCOME_COLORS.items() if name in outcomes]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0, columnspacing=1.0)
 
@@ -107,7 +107,7 @@ def _boxes(axis: Axes, samples: list[np.ndarray], colors: list[str]) -> None:
 
 
 def _row_numbers(axis: Axes, texts: list[str]) -> None:
-    """A number at the right end of every row, and quiet lines behind the rows."""
+    """A number at the right end of every row, and grid lines behind the rows."""
     axis.grid(axis="x")
     axis.set_axisbelow(True)
     axis.tick_params(axis="y", length=0)
@@ -152,7 +152,7 @@ def _behaviour_curve(axis: Axes, trace: Trace, color: str) -> None:
 
 @styled
 def horizons(traces: Sequence[Trace]) -> Figure:
-    """Which prediction horizon the adaptive planner chooses over time, as shares of all its episodes."""
+    """Prediction horizons of the adaptive planner over time, as shares of all its episodes."""
     adaptive = [trace for trace in traces if trace.planner == ADAPTIVE]
     figure = Figure((WIDTH_IN, 0.7 + 1.5 * len(adaptive)), layout="constrained")
     axes = figure.subplots(len(adaptive), 1, sharex=True, squeeze=False)[:, 0]
@@ -174,7 +174,7 @@ def horizons(traces: Sequence[Trace]) -> Figure:
 
 @styled
 def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
-    """Which prediction horizon the adaptive planner chooses where, as shares of its decisions before it arrives."""
+    """Prediction horizons of the adaptive planner along the road, as shares of its decisions before it arrives."""
     adaptive = [trace for trace in traces if trace.planner == ADAPTIVE]
     figure = Figure((WIDTH_IN, 0.7 + 1.5 * len(adaptive)), layout="constrained")
     axes = figure.subplots(len(adaptive), 1, sharex=True, squeeze=False)[:, 0]
@@ -209,10 +209,10 @@ def _decided(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
 def space_time(
     traces: Sequence[Trace], episode: int, corridor_sigma_m: tuple[float, float], fixed_s: FixedHorizons
 ) -> Figure:
-    """One episode under every planner: where both vehicles are along the road's reference line over time.
+    """One episode under every planner: positions of both vehicles along the road's reference line over time.
 
     traces: of one setting; the ego's line has the colour of the prediction horizon of that decision
-    corridor_sigma_m: where the corridor begins and ends on the line, which the ego drives along
+    corridor_sigma_m: begin and end of the corridor on the line, along which the ego drives
     """
     half_m = (corridor_sigma_m[1] - corridor_sigma_m[0]) / 2
     figure, axes = _two_columns(len(traces), 1.6)
@@ -238,7 +238,9 @@ def _space_time_lines(axis: Axes, trace: Trace, episode: int, half_m: float) -> 
     end = trace.n_steps[episode]
     time_s = np.arange(end + 1) * trace.dt_s
     from_middle = trace.progress_m[: end + 1, episode] - half_m
-    sigma = np.where(np.arange(from_middle.shape[1]) == EGO, from_middle, -from_middle)  # the others come towards it
+    sigma = np.where(
+        np.arange(from_middle.shape[1]) == EGO, from_middle, -from_middle
+    )  # social vehicles drive towards it
     horizon = trace.horizon_s[:end, episode, EGO]
     points = np.stack([time_s, sigma[:, EGO]], -1)
     colors = [horizon_color(h) if np.isfinite(h) else QUIET for h in horizon]
@@ -313,7 +315,7 @@ def render(figure: Figure, format_: str) -> bytes:
 
 
 def settings_and_planners(table: pd.DataFrame) -> tuple[list[str], list[str]]:
-    """Settings and planners in the order in which the table brings them."""
+    """Settings and planners in the order of the table."""
     return list(table["setting"].unique()), list(table["planner"].unique())
 
 

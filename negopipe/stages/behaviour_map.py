@@ -45,13 +45,13 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     found = trends(table)
     tracked.update_metrics_json({"behaviour_map": {"claims": claims(found)}})
     paragraph = reading(found)
-    if "evaluate" not in config.stages:  # which has more to say
+    if "evaluate" not in config.stages:  # the evaluation has the longer description
         tracked.set_description(paragraph)
         log.info(paragraph)
 
 
 def drive_map(config: "RunConfig", game: Game) -> pd.DataFrame:
-    """One row of `negopipe.evaluation.behaviour_map.cell` per setting, ego horizon and social style."""
+    """One row of `negopipe.evaluation.behaviour_map.cell` per setting, style and horizon of the ego."""
     grid = config.behaviour_map
     pairs = list(product(config.evaluation.settings, grid.styles_s, grid.horizons_s))
     n = n_processes(config.device, int(config.n_threads))

@@ -1,4 +1,4 @@
-"""The evaluate stage: the policy and the planners that it is compared with, on the same held-out tasks."""
+"""The evaluate stage: the policy and its baselines on the same held-out tasks."""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -73,7 +73,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
 
 
 def _jobs(config: "RunConfig", game: Game, policy: ActorCritic) -> dict[tuple[str, str], Callable[[], Driven | None]]:
-    """By setting and planner what drives it there."""
+    """(setting, planner) -> evaluation of the planner in the setting."""
     oracle = None if config.evaluation.oracle is None else read_oracle(config.evaluation.oracle)
     jobs: dict[tuple[str, str], Callable[[], Driven | None]] = {}
     for setting in config.evaluation.settings:
@@ -88,13 +88,13 @@ def _jobs(config: "RunConfig", game: Game, policy: ActorCritic) -> dict[tuple[st
 
 
 def _measured(config: "RunConfig", drive: Callable[[], Trace | None]) -> Driven | None:
-    """None if the planner was not driven."""
+    """Rows and record of a planner; None if it was not driven."""
     trace = drive()
     return None if trace is None else (measure(config, trace), trace.first(config.evaluation.n_traced))
 
 
 def _warm_up(config: "RunConfig", game: Game, policy: ActorCritic) -> None:
-    """Compile what every planner needs before processes are forked: else each of them would."""
+    """Compile the code of all planners once, before processes are forked."""
     first = map_tensors(lambda field: field[:1], held_out_tasks(config, game, config.evaluation.settings[0]))
     warm_up(game, _adaptive(config, game, policy), first)
     for baseline in config.evaluation.baselines.values():
@@ -102,7 +102,7 @@ def _warm_up(config: "RunConfig", game: Game, policy: ActorCritic) -> None:
 
 
 def _drive(config: "RunConfig", game: Game, policy: ActorCritic, tasks: Task, names: tuple[str, str]) -> Trace:
-    """The planner names[0]: the policy or one of the baselines."""
+    """The record of the planner names[0], the policy or a baseline."""
     if names[0] != ADAPTIVE:
         return drive_baseline(config, game, config.evaluation.baselines[names[0]], tasks, names)
     ego, n_worlds, paid = _adaptive(config, game, policy), config.evaluation.n_worlds, config.evaluation.reward
@@ -123,7 +123,7 @@ def _is_drawn(config: "RunConfig") -> bool:
 
 @one_thread()
 def drive_baseline(config: "RunConfig", game: Game, baseline: Baseline, tasks: Task, names: tuple[str, str]) -> Trace:
-    """The first of the tasks, as many as it drives."""
+    """The record of a baseline on the first tasks, as many as it drives."""
     driven = map_tensors(lambda field: field[: baseline.n_episodes], tasks)
     n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
     return drive_episodes(game, partial(baseline.driver, game), driven, n_worlds, paid, names, baseline.is_lockstep)
@@ -142,7 +142,7 @@ def measure(config: "RunConfig", trace: Trace) -> pd.DataFrame:
 
 
 def checkpoint_of(config: "RunConfig", run: "TrackedRun") -> Path:
-    """What this run trained, or else what `checkpoint` names."""
+    """The checkpoint of this run's training, else the one that `checkpoint` names."""
     own = run.folder / CHECKPOINT_NAME
     if own.is_file() and (config.checkpoint is None or "train" in config.stages):
         return own

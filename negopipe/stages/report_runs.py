@@ -1,4 +1,4 @@
-"""The report stage over many runs: seeds, algorithms or ablations compared, without running any of them again."""
+"""The report stage over many runs: a comparison of seeds, algorithms or ablations from their files."""
 
 import logging
 from pathlib import Path
@@ -49,9 +49,9 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
 
 
 def _configs(short: dict[str, str]) -> Section:
-    """What the configs are, where letters stand for them."""
+    """The configs that letters stand for."""
     told = "; ".join(f"{letter}: {overrides}" for overrides, letter in short.items())
-    return Section("Configs", f"What sets the runs apart. {told}.", [])
+    return Section("Configs", f"Differences between the runs. {told}.", [])
 
 
 def _training(groups: dict[str, list[Path]]) -> Section:

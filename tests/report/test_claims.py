@@ -127,7 +127,7 @@ def test_what_a_planner_is_called_changes_no_verdict(traces: list[Trace]) -> Non
     renamed = made_up().assign(planner=lambda table: table["planner"].map(called))
     found, as_usual = judged(renamed, traces, {"fixed_short": 0.0, "nan": 6.0}), judged(made_up(), traces)
     assert {n: claim.verdict for n, claim in found.items()} == {n: claim.verdict for n, claim in as_usual.items()}
-    assert found[3].findings[0].text == "reward less that of fixed short (0 s)"
+    assert found[3].findings[0].text == "reward minus that of fixed short (0 s)"
     unknown = judged(made_up(), traces, {})  # they sound like fixed horizons, and are none
     assert {claim.verdict for claim in unknown.values()} == {"not tested"}
 
@@ -153,9 +153,9 @@ def test_the_decisive_figure_is_the_clearest_against_the_claim_else_the_closest(
     against, closest = judged(made_up(drives), traces)[3].decisive, judged(made_up(), traces)[3].decisive
     assert against is not None
     assert closest is not None
-    assert (against.text, against.verdict) == ("reward less that of fixed 6 s", "does not hold")
+    assert (against.text, against.verdict) == ("reward minus that of fixed 6 s", "does not hold")
     assert against.margin == pytest.approx(-4, abs=1)
-    assert (closest.text, closest.verdict) == ("reward less that of fixed 0 s", "holds")
+    assert (closest.text, closest.verdict) == ("reward minus that of fixed 0 s", "holds")
     assert judged(made_up(), traces)[10].decisive is None
 
 

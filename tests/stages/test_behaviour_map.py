@@ -140,7 +140,7 @@ def test_the_figure_shows_the_numbers(ran: RecordedRun) -> None:
     assert len(shown) == 2 * len(push)
     for row in push.to_dict("records"):
         assert f"{row['smallest_gap_m']:.2f} m" in shown
-    assert ("nobody" in shown) == push["ego_passes_first_rate"].isna().any()
+    assert ("none" in shown) == push["ego_passes_first_rate"].isna().any()
     assert {text.get_text() for text in outcomes.texts} <= {f"{n}" for n in range(30, 101)}
     assert outcomes.get_title(loc="left") == "Push: outcomes [%]"
 
