@@ -7,8 +7,8 @@ import torch
 
 from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
 from negopipe.envs.gymnasium import compose_config
-from negopipe.evaluation import metrics
 from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.runtime.build import build, load_policy
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tracking.checkpoint import find_checkpoint
@@ -29,7 +29,7 @@ def rates(experiment: str, setting: str, n_episodes: int) -> tuple[float, float]
     trace = drive_episodes(
         game, by_horizon(game, choose), tasks, evaluation.n_worlds, evaluation.reward, ("adaptive", setting)
     )
-    outcome = metrics.episodes(trace, config.scenario.road.corridor_length_m)["outcome"]
+    outcome = episodes(Drives.of(config, trace), ["outcome"])["outcome"]
     return (outcome == "success").mean(), (outcome == "collision").mean()
 
 

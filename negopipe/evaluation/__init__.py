@@ -1,1 +1,1 @@
-"""Evaluation: episodes driven to the end, their record (`trace`) and what is measured on it (`metrics`)."""
+"""Evaluation: held-out episodes, their record (`trace`), the measures (`measures`), statistics, the paper's claims."""

@@ -1,6 +1,6 @@
-"""What a pair of horizons, the ego's and the social driver's, leads to; and claim 8 put to the test with it.
+"""The behaviour map: results of every pair of an ego's horizon and a social style, and the test of claim 8 on them.
 
-The claim: a shorter prediction horizon gives more aggressive driving, passing first more often, and closer
+Claim 8: a shorter prediction horizon gives more aggressive driving, that is passing first more often and coming closer
 (docs/reading.md, "claim 8").
 """
 
@@ -12,11 +12,9 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from negopipe.evaluation.metrics import episodes
-from negopipe.evaluation.safety import footprints, smallest_gap
-from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.evaluation.episodes_file import Drives, episodes
+from negopipe.evaluation.trace import OUTCOMES
 from negopipe.schema import Distinct, NonNegativeFloat, PositiveInt, schema
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.tracking.csv_file import CsvKind
 
 BEHAVIOUR_MAP = CsvKind(
@@ -42,6 +40,12 @@ BEHAVIOUR_MAP = CsvKind(
 )
 """behaviour_map.csv: a row per `cell`."""
 
+MEASURED = (
+    *("outcome", "n_decisions", "ego_time_s", "social_time_s", "suspend_count", "suspend_time_s"),
+    *("full_braking_count", "passes_first", "smallest_gap_m"),
+)
+"""Columns of episodes.csv that a cell aggregates."""
+
 DifferentHorizons = Annotated[list[NonNegativeFloat], Field(min_length=1), Distinct]
 
 
@@ -54,25 +58,23 @@ class BehaviourMapConfig:
     n_episodes: PositiveInt
 
 
-def cell(
-    trace: Trace, ego_horizon_s: float, social_style_s: float, corridor_length_m: float, vehicle: VehicleConfig
-) -> dict[str, Any]:
-    """One row of the map: what happened when the two met.
+def cell(drives: Drives, ego_horizon_s: float, social_style_s: float) -> dict[str, Any]:
+    """One row of the map: the episodes of one horizon of the ego against one style.
 
     setting, ego_horizon_s, social_style_s, n_episodes
     success_rate, collision_rate, deadlock_rate, other_timeout_rate, social_collision_rate: shares of the episodes,
-        their sum is 1
-    ego_time_s, social_time_s: until the target was reached, means over arrivals; NaN if nobody arrived
-    suspend_count, suspend_time_s: of the ego, means over all episodes
-    ego_passes_first_rate: share of the episodes in which anyone passed first; NaN if nobody ever did
-    smallest_gap_m: see `safety`, mean over all episodes
-    full_braking_rate: share of the ego's decisions in which no feasible plan existed
+        which sum to 1
+    ego_time_s, social_time_s: mean times until the target was reached, over arrivals; NaN without an arrival
+    suspend_count, suspend_time_s: means of the ego over all episodes
+    ego_passes_first_rate: share of the episodes with a first passage in which the ego passes first; NaN without one
+    smallest_gap_m: mean over all episodes
+    full_braking_rate: share of the ego's decisions without a feasible plan
     """
-    rows = episodes(trace, corridor_length_m)
+    rows = episodes(drives, MEASURED)
     share = {outcome: float((rows["outcome"] == outcome).mean()) for outcome in OUTCOMES}
     first = rows["passes_first"][rows["passes_first"] != "none"]
     return {
-        "setting": trace.family,
+        "setting": drives.trace.setting,
         "ego_horizon_s": ego_horizon_s,
         "social_style_s": social_style_s,
         "n_episodes": len(rows),
@@ -86,24 +88,24 @@ def cell(
         "suspend_count": float(rows["suspend_count"].mean()),
         "suspend_time_s": float(rows["suspend_time_s"].mean()),
         "ego_passes_first_rate": float((first == "ego").mean()),
-        "smallest_gap_m": float(smallest_gap(footprints(trace, vehicle)).mean()),
+        "smallest_gap_m": float(rows["smallest_gap_m"].to_numpy().mean()),
         "full_braking_rate": float(rows["full_braking_count"].sum() / rows["n_decisions"].sum()),
     }
 
 
-HOLDS, FAILS, EQUAL, UNKNOWN = "holds", "does not hold", "no difference", "cannot be told"
-"""Verdicts: the measure goes the claimed way from horizon to horizon (it may pause, but not turn); it turns
-somewhere; it stays the same; fewer than two horizons have a value."""
+HOLDS, FAILS, EQUAL, UNKNOWN = "holds", "does not hold", "no difference", "undecided"
+"""Verdicts: the measure changes in the claimed direction or not at all from each horizon to the next; it changes in the
+other direction somewhere; it is the same for all; fewer than two horizons have a value."""
 
 CLAIMED = {"ego_passes_first_rate": (-1, 1e-9), "smallest_gap_m": (1, 0.01)}
-"""Measure -> its sign of change as the ego's horizon grows, and the change that counts as none (1 cm of gap)."""
+"""Measure -> the claimed sign of its change with a longer horizon of the ego, and the change that counts as none."""
 
 
 @dataclass(frozen=True)
 class Trend:
     """Claim 8 for one measure, in one setting against one style.
 
-    turn: ((horizon, value), (next horizon, value)), the largest step the wrong way; None unless it fails
+    turn: ((horizon, value), (next horizon, value)), the largest step against the claim; None unless the claim fails
     """
 
     setting: str
@@ -127,7 +129,7 @@ def trends(table: pd.DataFrame) -> list[Trend]:
 def _judge(
     points: Sequence[tuple[float, float]], sign: int, tolerance: float
 ) -> tuple[str, tuple[tuple[float, float], tuple[float, float]] | None]:
-    """Verdict and turn of (horizon, value) in the order of the horizons."""
+    """Verdict and turn of the points (horizon, value) in the order of the horizons."""
     if len(points) < 2:
         return UNKNOWN, None
     values = np.array([value for _, value in points])

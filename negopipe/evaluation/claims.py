@@ -1,10 +1,10 @@
-"""The paper's claims, put to the test on evaluated episodes (docs/reading.md, "Claims of the paper").
+"""Tests of the paper's claims on evaluated episodes (docs/reading.md, "Claims of the paper").
 
-What the paper compares is the policy and the fixed horizons, so the other planners do not count here; which planners
-are fixed horizons is known from their configs. `push` and `yield` are the paper's two settings, by their names in
-`conf`. A claim about which planner is best holds if none of the others is better: for each of them the interval of
-the difference on the same tasks excludes that. Where an interval leaves it open, the claim is undecided. Where a
-setting was not driven or there is nothing to compare, it is not tested.
+The paper compares the policy with the fixed horizons, so the other planners are left out; the planners' configs tell
+which are fixed horizons. `push` and `yield` are the paper's two settings, by their names in `conf`. A claim that a
+planner is best holds if no other is better: for each other, the interval of the difference on the same tasks excludes
+it. A claim is undecided where an interval includes both answers. It is not tested where a setting was not driven or
+there is nothing to compare.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,33 +37,39 @@ from negopipe.evaluation.statistics import (
 from negopipe.evaluation.trace import ADAPTIVE, Trace
 
 COMPLETES = 0.95
-"""A planner completes a setting if so large a share of the episodes is a success, and fails it up to 1 less this."""
+"""Success rate from which a planner completes a setting. A planner fails a setting below 1 minus this rate."""
 CLEAR_RAD = np.radians(5.0)
-"""From here on psi counts as positive or negative: both vehicles start with it at zero."""
+"""Absolute psi from which its sign counts; psi starts at zero."""
 
 
 def judge_claims(table: pd.DataFrame, traces: Sequence[Trace], fixed_s: FixedHorizons) -> list[Claim]:
-    """All ten claims.
+    """Results of all ten claims.
 
-    table: rows of `metrics.episodes` with the columns of `safety`, of all planners and settings
-    traces: of the policy, for the behaviour index
-    fixed_s: which of the planners are fixed horizons
+    table: rows of episodes.csv of all planners and settings
+    traces: records of the policy, for the behaviour index
+    fixed_s: planners with a fixed horizon
     """
     evidence = Evidence(table, traces, fixed_s)
     return [_test(evidence, number, *claim) for number, claim in enumerate(_CLAIMS, start=1)]
 
 
 def judge_curriculum(rewards: np.ndarray, rewards_without: np.ndarray) -> Claim:
-    """The last of the claims, by the rewards of trainings with several stages and of others with the last stage alone.
+    """Result of the last claim, from the rewards of trainings with several stages and with the last stage alone.
 
-    rewards, rewards_without: [S], [S'] mean reward over the settings of each training; as many decisions in all
+    rewards, rewards_without: [S], [S'] mean reward over the settings of each training, all of the same decisions
     """
     words, rule, *_ = _CLAIMS[-1]
     better = probability_of_improvement(rewards, rewards_without, np.random.default_rng(RANDOM_SEED))
     more = difference_of_means(rewards, rewards_without, np.random.default_rng(RANDOM_SEED))
     findings = [
-        at_least("a training with it has the higher reward", better, PERCENT, than=0.5, strictly=True),
-        finding("reward with it less that without", more, PLAIN),
+        at_least(
+            "higher reward of a training with the curriculum than of one without",
+            better,
+            PERCENT,
+            than=0.5,
+            strictly=True,
+        ),
+        finding("reward with the curriculum minus reward without", more, PLAIN),
     ]
     return Claim(len(_CLAIMS), words, rule, findings)
 
@@ -82,17 +88,17 @@ def _test(
 
 def _push_is_completed(evidence: Evidence) -> list[Finding]:
     share, slower = evidence.succeeds("push"), evidence.ahead("driving_time_s", "push")
-    completed = evidence.each(at_least, "success of {}", share, PERCENT, than=COMPLETES)
-    return completed + evidence.each(at_most, "time less that of {}", slower, SECONDS)
+    completed = evidence.each(at_least, "success rate of {}", share, PERCENT, than=COMPLETES)
+    return completed + evidence.each(at_most, "driving time minus that of {}", slower, SECONDS)
 
 
 def _push_suspends_least(evidence: Evidence) -> list[Finding]:
-    return evidence.each(at_most, "suspensions less those of {}", evidence.ahead("suspend_count", "push"), PLAIN)
+    return evidence.each(at_most, "suspensions minus those of {}", evidence.ahead("suspend_count", "push"), PLAIN)
 
 
 def _rewarded_most(setting: str) -> Callable[[Evidence], list[Finding]]:
     def test(evidence: Evidence) -> list[Finding]:
-        return evidence.each(at_least, "reward less that of {}", evidence.ahead("reward", setting), PLAIN)
+        return evidence.each(at_least, "reward minus that of {}", evidence.ahead("reward", setting), PLAIN)
 
     return test
 
@@ -100,16 +106,16 @@ def _rewarded_most(setting: str) -> Callable[[Evidence], list[Finding]]:
 def _only_the_policy_yields(evidence: Evidence) -> list[Finding]:
     share = evidence.succeeds("yield")
     own, others = {ADAPTIVE: share[ADAPTIVE]}, {planner: share[planner] for planner in evidence.fixed}
-    arrives = evidence.each(at_least, "success of {}", own, PERCENT, than=COMPLETES)
-    return arrives + evidence.each(at_most, "success of {}", others, PERCENT, than=1 - COMPLETES, strictly=True)
+    arrives = evidence.each(at_least, "success rate of {}", own, PERCENT, than=COMPLETES)
+    return arrives + evidence.each(at_most, "success rate of {}", others, PERCENT, than=1 - COMPLETES, strictly=True)
 
 
 def _yield_suspends_between(evidence: Evidence) -> list[Finding]:
     in_yield, in_push = (evidence.measured("suspend_count", s)[ADAPTIVE].to_numpy() for s in ("yield", "push"))
     more = difference_of_means(in_yield, in_push, evidence.rng)
     less = evidence.ahead("suspend_count", "yield")
-    findings = [at_least("suspensions in yield less those in push", more, PLAIN, strictly=True)]
-    return findings + evidence.each(at_most, "in yield, suspensions less those of {}", less, PLAIN)
+    findings = [at_least("suspensions in yield minus those in push", more, PLAIN, strictly=True)]
+    return findings + evidence.each(at_most, "yield: suspensions minus those of {}", less, PLAIN)
 
 
 def _behaviour_fits(evidence: Evidence) -> list[Finding]:
@@ -122,7 +128,7 @@ def _behaviour_fits(evidence: Evidence) -> list[Finding]:
     return [
         at_least("push: episodes in which psi stays negative", stays_negative, PERCENT, than=0.5),
         finding("yield: episodes in which psi is positive first", rate(is_positive_first), PERCENT),
-        at_least("yield: episodes in which it is positive first and negative later", turns, PERCENT, than=0.5),
+        at_least("yield: episodes in which psi is positive first and negative later", turns, PERCENT, than=0.5),
     ]
 
 
@@ -135,10 +141,10 @@ def _shorter_is_bolder(evidence: Evidence) -> list[Finding]:
         pair = f"{evidence.label(shorter)} against {evidence.label(longer)}"
         strictly = (shorter, longer) in ends
         often = mean_difference(first[shorter].to_numpy(), first[longer].to_numpy(), evidence.rng)
-        more.append(at_least(f"passes first more often, {pair}", often, PERCENT, strictly=strictly))
+        more.append(at_least(f"higher share of first passages, {pair}", often, PERCENT, strictly=strictly))
         kept = gap[[shorter, longer]].dropna()
         nearer = mean_difference(kept[longer].to_numpy(), kept[shorter].to_numpy(), evidence.rng)
-        closer.append(at_least(f"comes closer, {pair}", nearer, METRES, strictly=strictly))
+        closer.append(at_least(f"smaller gap, {pair}", nearer, METRES, strictly=strictly))
     return more + closer
 
 
@@ -148,10 +154,10 @@ def _spreads_least(evidence: Evidence) -> list[Finding]:
         planner: spread_difference(reward[planner].to_numpy(), reward[ADAPTIVE].to_numpy(), evidence.rng)
         for planner in evidence.fixed
     }
-    return evidence.each(at_least, "spread (std) of the reward of {}, less the policy's", wider, PLAIN)
+    return evidence.each(at_least, "standard deviation of the reward of {} minus the policy's", wider, PLAIN)
 
 
-_NONE_BETTER = "for no fixed horizon does the 95 % interval of the difference on the same tasks show it to be better"
+_NONE_BETTER = "the 95 % interval of the difference on the same tasks shows no fixed horizon to be better"
 _CLAIMS: Sequence[tuple[str, str, Sequence[str], Callable[[Evidence], list[Finding]] | None]] = (
     (
         'Push: "all the algorithm could complete driving task in limit time, while the adaptive behavior planner has '
@@ -182,27 +188,27 @@ _CLAIMS: Sequence[tuple[str, str, Sequence[str], Callable[[Evidence], list[Findi
     ),
     (
         "Push: the behaviour index stays negative. Yield: it is positive first, negative later",
-        "so it is in most episodes (beyond 5 degrees)",
+        "this holds in most episodes (beyond 5 degrees)",
         ["push", "yield"],
         _behaviour_fits,
     ),
     (
         "A shorter prediction horizon gives more aggressive driving",
-        "push and yield together: the shortest fixed horizon passes first more often and comes closer than the "
-        "longest, and none passes first less often or stays farther off than the next longer one",
+        "push and yield together: the shortest fixed horizon passes first more often and with a smaller gap than the "
+        "longest, and no fixed horizon does so less often or with a larger gap than the next longer one",
         ["push", "yield"],
         _shorter_is_bolder,
     ),
     (
         '"The performance of our proposed framework has better stability"',
-        "push and yield together: no fixed horizon's reward spreads less",
+        "push and yield together: the reward of no fixed horizon has a smaller standard deviation",
         ["push", "yield"],
         _spreads_least,
     ),
     (
         'The curriculum helps "to enhance the training efficiency and robustness"',
-        "after as many decisions, a training with it has more likely than not the higher reward, mean over the "
-        "settings; judged by negopipe.sweeping.compare over such runs (jobs/ablation_curriculum.sh)",
+        "after equally many decisions, a training with the curriculum has more likely than not the higher mean reward "
+        "over the settings; tested by negopipe.sweeping.compare over such runs (jobs/ablation_curriculum.sh)",
         [],
         None,
     ),

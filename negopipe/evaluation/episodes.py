@@ -1,4 +1,4 @@
-"""Driving evaluation episodes and writing down what happened."""
+"""Evaluation episodes: driving them to the end and recording them."""
 
 from typing import Annotated, Literal
 
@@ -39,7 +39,7 @@ class EvaluationConfig:
 
     @property
     def fixed_horizons_s(self) -> FixedHorizons:
-        """Those of the baselines that keep to one."""
+        """Horizon of each baseline that has a fixed one."""
         fixed = {name: baseline.fixed_horizon_s for name, baseline in self.baselines.items()}
         return {name: horizon_s for name, horizon_s in fixed.items() if horizon_s is not None}
 
@@ -53,31 +53,31 @@ def drive_episodes(
     names: tuple[str, str],
     is_lockstep: bool = False,
 ) -> Trace:
-    """Let the ego's driver drive all `tasks`, `n_worlds` at a time.
+    """Drive all `tasks` with the ego's driver, `n_worlds` at a time.
 
-    Outcomes do not depend on `n_worlds`: worlds do not know of each other.
+    Outcomes do not depend on `n_worlds`, since worlds do not interact.
 
-    reward_config: what the report counts, whatever the policy was trained with
-    names: (planner, family) for the record
-    is_lockstep: the driver is asked for all worlds of a batch at every decision, also for those whose episode is over;
-        else for the running ones only, which saves their time
+    reward_config: reward of the record, which may differ from the reward of the training
+    names: (planner, setting) of the record
+    is_lockstep: the driver decides in all worlds of a batch, also in those whose episode is over; else in the running
+        ones only, which saves time
     """
     batches = [
         map_tensors(lambda field, i=first: field[i : i + n_worlds], tasks) for first in range(0, len(tasks), n_worlds)
     ]
     parts = [_record(game, _drivers(game, make_ego, batch), batch, reward_config, is_lockstep) for batch in batches]
     joined = {name: np.concatenate([part[name] for part in parts], axis=EPISODE_AXIS[name]) for name in parts[0]}
-    return Trace(planner=names[0], family=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
+    return Trace(planner=names[0], setting=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
 
 
 def warm_up(game: Game, make_ego: MakeDriver, tasks: Task) -> None:
-    """Let everybody make a first decision in `tasks`: all that driving takes is compiled then."""
+    """Make a first decision of all drivers in `tasks`, which compiles everything that driving needs."""
     world = game.simulator.reset(tasks)
     game.step(world, drive_together(_drivers(game, make_ego, tasks), game.perceive(world)).state)
 
 
 def _drivers(game: Game, make_ego: MakeDriver, tasks: Task) -> list[Driver]:
-    """Of all agents, in their order."""
+    """Drivers of all agents, in their order."""
     social = HorizonDriver(own_style, game.plan)
     return [make_ego(tasks.noise_seed), *[social] * game.simulator.scenario.n_social]
 
@@ -119,9 +119,9 @@ def _record(
 def _decide(
     game: Game, drivers: list[Driver], world: World, which: Tensor, is_running: Tensor, reward_config: RewardConfig
 ) -> tuple[World, Events, dict[str, Tensor]]:
-    """One decision in the worlds `which` [R], of which those that are not running [R] stay as they are.
+    """One decision in the worlds `which` [R]; those that are not running [R] stay unchanged.
 
-    Returns all worlds, and events and the decision's row of those R.
+    Returns all worlds, and the events and the row of the decision of those R.
     """
     before = map_tensors(lambda field: field.index_select(0, which), world)
     motion = drive_together(drivers, game.perceive(before))
@@ -133,7 +133,7 @@ def _decide(
 
 
 def _scatter(field: Tensor, which: Tensor, n: int) -> Tensor:
-    """[R, ...] as rows `which` of [n, ...]; the other worlds decide nothing: NaN for a horizon, else zero."""
+    """[R, ...] as rows `which` of [n, ...]; the other rows are NaN for a horizon, else zero."""
     empty = torch.nan if field.dim() > 1 and field.is_floating_point() else 0
     return torch.full((n, *field.shape[1:]), empty, dtype=field.dtype, device=field.device).index_copy(0, which, field)
 
@@ -163,14 +163,14 @@ def _stack(rows: list[dict[str, Tensor]], n_repeat: int) -> dict[str, Tensor]:
 
 
 def _pad(decisions: Tensor, n_missing: int) -> Tensor:
-    """Fill decisions that nobody took any more: no horizon, no braking, no reward."""
+    """Append decisions after the last one: no horizon, no braking, no reward."""
     empty = torch.nan if decisions.dim() == 3 and decisions.is_floating_point() else 0
     filling = torch.full((n_missing, *decisions.shape[1:]), empty, dtype=decisions.dtype, device=decisions.device)
     return torch.cat([decisions, filling])
 
 
 def _stands_nose_to_nose(speed: Tensor, world: World, game: Game) -> Tensor:
-    """[E] bool: at the end the ego and a social vehicle have stood for 5 s, neither having passed the other."""
+    """[E] bool: at the end the ego and an oncoming vehicle that it has not passed have been at rest for 5 s."""
     n_steps = round(DEADLOCK_S / game.simulator.scenario.dt_s)
     is_at_rest = (speed[-n_steps:] < AT_REST_MPS).all(0)
     s = game.simulator.road.progress(world.vehicles.position, world.task.direction[:, :1])
@@ -180,5 +180,5 @@ def _stands_nose_to_nose(speed: Tensor, world: World, game: Game) -> Tensor:
 
 
 def _first_time(has_reached: Tensor) -> Tensor:
-    """[T+1, E, V] bool -> [E, V] int64, the first index that is true, -1 where none is."""
+    """[T+1, E, V] bool -> [E, V] int64, the first true index, -1 where none is true."""
     return torch.where(has_reached.any(0), has_reached.int().argmax(0), -1)

@@ -1,5 +1,5 @@
-"""Sequences of prediction horizons as text that fits a cell of a table: `0x14 4 0x20` is 0 s for 14 decisions, 4 s for
-one and 0 s for 20."""
+"""Sequences of prediction horizons as text for a cell of a table: `0x14 4 0x20` is 0 s for 14 decisions, 4 s for one
+and 0 s for 20."""
 
 from itertools import groupby
 
@@ -9,7 +9,7 @@ from negopipe.errors import UserError
 
 
 def to_text(horizon_s: np.ndarray, n_steps: np.ndarray) -> list[str]:
-    """Of E episodes: horizon_s [T, E] (s), of which the first n_steps [E] count; empty where it chose none."""
+    """Texts of E episodes from the first n_steps [E] of horizon_s [T, E] (s); empty for a driver without horizons."""
     return [_text(horizon_s[:n, episode]) for episode, n in enumerate(n_steps)]
 
 
@@ -21,7 +21,7 @@ def _text(horizon_s: np.ndarray) -> str:
 
 
 def from_text(text: str) -> np.ndarray:
-    """[T] float32, s. Raises UserError for what `to_text` does not write."""
+    """[T] float32, s. Raises UserError for a text that `to_text` does not write."""
     values: list[float] = []
     try:
         for run in text.split():

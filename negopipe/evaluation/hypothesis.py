@@ -1,4 +1,4 @@
-"""Hypotheses about planners: the evidence, figures with their intervals, and what a figure says of a claim."""
+"""Tests of hypotheses about planners: the evidence, findings with their intervals, and verdicts on claims."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -15,30 +15,20 @@ from negopipe.evaluation.trace import ADAPTIVE, Trace
 
 Verdict = Literal["holds", "does not hold", "undecided", "not tested"]
 
-
 RANDOM_SEED = 0
-"""Of the bootstrap: the same episodes give the same intervals."""
+"""Seed of the bootstrap, so that the same episodes give the same intervals."""
 
-
-PERCENT = (100.0, " %")
-
-
-SECONDS = (1.0, " s")
-
-
-PLAIN = (1.0, "")
-
-
-METRES = (1.0, " m")
+PERCENT, SECONDS, METRES, PLAIN = (100.0, " %"), (1.0, " s"), (1.0, " m"), (1.0, "")
+"""Units of findings: factor from the value to the number that is shown, and name."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A figure that bears on a claim, in the unit that `text` names.
+    """A number that bears on a claim, in the unit that `text` names.
 
     low, high: bounds of its 95 % interval
-    verdict: of what the claim wants of this figure; None = it wants nothing of it
-    margin: how far `value` is on the wanted side, in its unit; NaN where nothing is wanted
+    verdict: result of the claim's condition on this number; None = no condition
+    margin: distance of `value` from the condition's bound, positive where it is met; NaN without a condition
     """
 
     text: str
@@ -51,12 +41,12 @@ class Finding:
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim and what became of it.
+    """One claim and its result.
 
-    number: as in docs/reading.md, "Claims of the paper"
-    words: the paper's
-    rule: when it holds
-    findings: what was measured; the claim holds if all hold of which it wants something
+    number: number in docs/reading.md, "Claims of the paper"
+    words: wording of the paper
+    rule: condition under which it holds
+    findings: measured numbers; the claim holds if all conditions on them hold
     """
 
     number: int
@@ -74,12 +64,12 @@ class Claim:
 
     @property
     def decisive(self) -> Finding | None:
-        """The figure to be shown beside the verdict: the clearest of those against the claim, else the closest."""
+        """The finding shown beside the verdict: the clearest one against the claim, else the closest one."""
         judged = [finding for finding in self.findings if finding.verdict == self.verdict]
         return min(judged, key=lambda finding: finding.margin, default=None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON, which knows no NaN."""
+        """Plain values for JSON, which has no NaN."""
         plain = {**asdict(self), "verdict": self.verdict, "decisive": self.decisive and self.decisive.text}
         for finding in plain["findings"]:
             finding |= {name: None for name, value in finding.items() if value != value}
@@ -87,20 +77,22 @@ class Claim:
 
 
 Want = Callable[..., Finding]
-"""What a claim wants of a figure: `at_least` or `at_most`."""
+"""Condition of a claim on a number: `at_least` or `at_most`."""
 
 
 class Evidence:
-    """The episodes that the paper's claims are about, and comparisons of them."""
+    """The episodes that the paper's claims are about, and comparisons between them."""
 
     def __init__(self, table: pd.DataFrame, traces: Sequence[Trace], fixed_s: FixedHorizons) -> None:
         self.rng = np.random.default_rng(RANDOM_SEED)
         self.fixed_s = {name: fixed_s[name] for name in table["planner"].unique() if name in fixed_s}
         self.fixed = sorted(self.fixed_s, key=self.fixed_s.__getitem__)
-        self.psi = {trace.family: behaviour_index(trace) for trace in traces if trace.planner == ADAPTIVE}
+        self.psi = {trace.setting: behaviour_index(trace) for trace in traces if trace.planner == ADAPTIVE}
         compared = table[table["planner"].isin([ADAPTIVE, *self.fixed])]
         by_task = compared.groupby(["setting", "episode"])["planner"]
-        is_driven_by_all = by_task.transform("nunique") == 1 + len(self.fixed)  # some may have driven the first only
+        is_driven_by_all = by_task.transform("nunique") == 1 + len(
+            self.fixed
+        )  # some planners drive the first tasks only
         self._table = compared[is_driven_by_all].assign(is_first=compared["passes_first"] == "ego")
 
     def has(self, *settings: str) -> bool:
@@ -112,7 +104,7 @@ class Evidence:
         return in_words(planner, self.fixed_s)
 
     def measured(self, measure: str, *settings: str) -> pd.DataFrame:
-        """A row per task of the settings, a column per planner; NaN where a planner has no such figure."""
+        """A row per task of the settings, a column per planner; NaN where a planner has no value."""
         rows = self._table[self._table["setting"].isin(settings)]
         return rows.pivot_table(measure, ["setting", "episode"], "planner", dropna=False)
 
@@ -125,7 +117,7 @@ class Evidence:
         }
 
     def ahead(self, measure: str, setting: str) -> dict[str, Estimate]:
-        """The policy's measure less each fixed horizon's, on the tasks where both have one."""
+        """The policy's measure minus each fixed horizon's, on the tasks in which both have a value."""
         values = self.measured(measure, setting)
         return {
             planner: mean_difference(both[ADAPTIVE].to_numpy(), both[planner].to_numpy(), self.rng)
@@ -136,12 +128,12 @@ class Evidence:
     def each(
         self, want: Want, text: str, estimates: Mapping[str, Estimate], unit: tuple[float, str], **wanted: Any
     ) -> list[Finding]:
-        """The same figure of several planners; `text` has {} for their names."""
+        """The same condition on several planners; `text` has {} for their names."""
         return [want(text.format(self.label(planner)), e, unit, **wanted) for planner, e in estimates.items()]
 
     def shorter_and_longer(self) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-        """Pairs of fixed horizons: the shortest with the longest, and each with the next longer one. Empty where all
-        are equal."""
+        """Pairs of fixed horizons: the shortest with the longest, and each with the next longer one. Empty if all are
+        equal."""
         levels = [list(names) for _, names in groupby(self.fixed, self.fixed_s.__getitem__)]
         steps = [pair for level, longer in pairwise(levels) for pair in product(level, longer)]
         ends = list(product(levels[0], levels[-1])) if len(levels) > 1 else []
@@ -149,9 +141,9 @@ class Evidence:
 
 
 def at_least(text: str, e: Estimate, unit: tuple[float, str], than: float = 0.0, strictly: bool = False) -> Finding:
-    """A figure of which the claim wants that it is at least `than`, or more than that.
+    """A number with the condition of being at least `than`, or strictly more.
 
-    It holds if the whole interval is on that side and does not if the whole interval is on the other.
+    The condition holds if the whole interval meets it and does not hold if the whole interval fails it.
     """
     is_shown = e.low > than if strictly else e.low >= than
     is_refuted = e.high <= than if strictly else e.high < than
@@ -159,7 +151,7 @@ def at_least(text: str, e: Estimate, unit: tuple[float, str], than: float = 0.0,
 
 
 def at_most(text: str, e: Estimate, unit: tuple[float, str], than: float = 0.0, strictly: bool = False) -> Finding:
-    """The same of `than` at most, or less than that."""
+    """A number with the condition of being at most `than`, or strictly less."""
     is_shown = e.high < than if strictly else e.high <= than
     is_refuted = e.low >= than if strictly else e.low > than
     return _judged(finding(text, e, unit), is_shown, is_refuted, unit[0] * (than - e.value))
@@ -171,11 +163,11 @@ def _judged(finding: Finding, is_shown: bool, is_refuted: bool, margin: float) -
 
 
 def finding(text: str, e: Estimate, unit: tuple[float, str]) -> Finding:
-    """A figure of which nothing is wanted."""
+    """A number without a condition."""
     scale, name = unit
     return Finding(text + (f" [{name.strip()}]" if name else ""), scale * e.value, scale * e.low, scale * e.high)
 
 
 def first_index(is_so: np.ndarray) -> np.ndarray:
-    """[T, E] -> [E], the first index that is true, the last one where none is."""
+    """[T, E] -> [E], the first true index, or the last index where none is true."""
     return np.where(is_so.any(0), is_so.argmax(0), len(is_so) - 1)

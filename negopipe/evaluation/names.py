@@ -1,9 +1,9 @@
-"""Names of planners, in files and in words. A name is free: what a planner does is known from its config alone."""
+"""Names of planners in files and in words. Names are free; the configs alone tell which planners are fixed horizons."""
 
 from collections.abc import Mapping
 
 FixedHorizons = Mapping[str, float]
-"""The one horizon, s, of each planner that keeps to one, by its name; see `EvaluationConfig.fixed_horizons_s`."""
+"""Name of each planner with a fixed horizon -> the horizon, s; see `EvaluationConfig.fixed_horizons_s`."""
 
 
 def fixed_name(horizon_s: float) -> str:
@@ -12,8 +12,8 @@ def fixed_name(horizon_s: float) -> str:
 
 
 def in_words(planner: str, fixed_s: FixedHorizons) -> str:
-    """The name in words: a fixed horizon with its unit (`fixed 2 s`, or `bold (2 s)` where it is named otherwise),
-    all without underscores.
+    """The name in words, without underscores; a fixed horizon with its unit: `fixed 2 s`, or `bold (2 s)` under a name
+    of its own.
     """
     words = planner.replace("_", " ")
     if planner not in fixed_s:

@@ -1,4 +1,4 @@
-"""Driving evaluated episodes once more from their tasks and horizons, and looking into the policy meanwhile."""
+"""Replay of evaluated episodes from their tasks and horizons, with a record of the policy's inputs and outputs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ from negopipe.simulation.state import Task
 
 @dataclass(frozen=True)
 class PolicyTrace:
-    """What the policy saw and thought in one episode of T decisions.
+    """Inputs and outputs of the policy in one episode of T decisions.
 
-    grids: [T, F, H, W] uint8, as `OccupancyGrid.draw` makes them
-    probability: [T, A] float32, of each of its horizons
+    grids: [T, F, H, W] uint8, occupancy grids as `OccupancyGrid.draw` makes them
+    probability: [T, A] float32, probability of each horizon
     horizons_s: [A], s
-    frame_interval_s: between frames, s
+    frame_interval_s: time between frames, s
     """
 
     grids: np.ndarray
@@ -35,7 +35,7 @@ class PolicyTrace:
 
 
 Watch = Callable[[Perception], None]
-"""Is shown the ego's perception before every decision."""
+"""Called with the ego's perception before every decision."""
 
 
 def replay(
@@ -46,10 +46,10 @@ def replay(
     names: tuple[str, str],
     watch: Watch | None = None,
 ) -> Trace:
-    """The record of E episodes in which the ego used the horizons that are given.
+    """The record of E episodes in which the ego uses the given horizons.
 
-    horizon_s: of each episode [T] s, its decisions
-    names: (planner, family) for the record
+    horizon_s: horizons [T] of each episode, s
+    names: (planner, setting) of the record
     """
     choose = sequence_planner(_together(horizon_s, game.simulator.scenario.episode_steps).to(tasks.family.device))
     ego = by_horizon(game, choose if watch is None else _watched(choose, watch))
@@ -65,7 +65,7 @@ def record_policy(
     horizon_s: Sequence[np.ndarray],
     reward_config: RewardConfig,
 ) -> list[PolicyTrace]:
-    """What the policy saw and thought in E episodes, of which it is known what it chose (`replay`)."""
+    """Inputs and outputs of the policy in E episodes with the known choices `horizon_s` (see `replay`)."""
     grids: list[np.ndarray] = []
     probability: list[np.ndarray] = []
 
@@ -88,7 +88,7 @@ def record_policy(
 
 
 def _together(horizon_s: Sequence[np.ndarray], n_steps: int) -> Tensor:
-    """[T, E] float32; decisions after an episode's end count for nothing."""
+    """[T, E] float32; decisions after the end of an episode have no effect."""
     rows = np.zeros((n_steps, len(horizon_s)), dtype=np.float32)
     for episode, own in enumerate(horizon_s):
         rows[: len(own), episode] = own

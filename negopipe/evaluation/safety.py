@@ -1,10 +1,9 @@
-"""How close it was, how hard the ego drove, and who could have avoided a collision; from the record of the drives.
+"""Safety of the recorded drives: gaps, times to collision, deceleration, jerk and avoidable collisions.
 
 Axes as in `Trace`: T decisions, E episodes, V vehicles (column 0 is the ego).
 """
 
 import numpy as np
-import pandas as pd
 import torch
 from torch import Tensor
 
@@ -15,37 +14,11 @@ from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import AT_REST_MPS, EGO
 
 AVOIDING_S = 2.0
-"""So long before a collision someone who could have avoided it would have begun to brake."""
-
-
-def safety(trace: Trace, vehicle: VehicleConfig, braking_mps2: float) -> pd.DataFrame:
-    """One row per episode.
-
-    smallest_gap_m: between the ego's footprint and a social one's; 0 where they collide
-    smallest_ttc_s: smallest time to collision with a social vehicle if both kept their velocity; NaN if they never
-        were on a course of collision
-    largest_decel_mps2, largest_jerk_mps3: of the ego, by differences of its speed from decision to decision; the jerk
-        either way
-    avoidable_by: ego | social | both | nobody: who, if it moved at all, would have come to rest without touching the
-        other by braking on its path with `braking_mps2` from 2 s before; the other drives as it did and then straight
-        on (to be hit at rest is not one's own doing). alone: the ego touched no vehicle; none: no collision
-    """
-    boxes = footprints(trace, vehicle)
-    is_driven = np.concatenate([np.ones_like(trace.n_steps[None], bool), running(trace)])
-    decel, jerk = _hardness(trace)
-    return pd.DataFrame(
-        {
-            "smallest_gap_m": smallest_gap(boxes),
-            "smallest_ttc_s": smallest_ttc(trace, boxes, is_driven),
-            "largest_decel_mps2": decel,
-            "largest_jerk_mps3": jerk,
-            "avoidable_by": avoidable_by(trace, vehicle, braking_mps2),
-        }
-    )
+"""Time before a collision at which braking to avoid it begins."""
 
 
 def footprints(trace: Trace, vehicle: VehicleConfig) -> Boxes:
-    """Of all vehicles at all times, fields [T+1, E, V] float64, world frame."""
+    """Footprints of all vehicles at all times, fields [T+1, E, V] float64, world frame."""
     pose = np.concatenate([trace.position_m, trace.yaw_rad[..., None]], -1)
     return _footprints(torch.from_numpy(pose).double(), vehicle)
 
@@ -55,8 +28,10 @@ def smallest_gap(boxes: Boxes) -> np.ndarray:
     return box_distance(agents(boxes, EGO, EGO + 1), agents(boxes, EGO + 1, None)).amin((0, 2)).numpy()
 
 
-def smallest_ttc(trace: Trace, boxes: Boxes, is_driven: np.ndarray) -> np.ndarray:
-    """[E] float64, s, over the states that `is_driven` [T+1, E] has; NaN where a collision never was ahead."""
+def smallest_ttc(trace: Trace, boxes: Boxes) -> np.ndarray:
+    """[E] float64, s: smallest time to collision with a social vehicle if both kept their velocity, until the end of
+    the episode; NaN where the vehicles were never on a collision course."""
+    is_driven = np.concatenate([np.ones_like(trace.n_steps[None], bool), running(trace)])
     speed = torch.from_numpy(trace.speed_mps).double()
     velocity = torch.stack([speed * boxes.cos, speed * boxes.sin], -1)
     ego, social = agents(boxes, EGO, EGO + 1), agents(boxes, EGO + 1, None)
@@ -66,8 +41,9 @@ def smallest_ttc(trace: Trace, boxes: Boxes, is_driven: np.ndarray) -> np.ndarra
     return np.where(np.isfinite(smallest), smallest, np.nan)
 
 
-def _hardness(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Largest deceleration (m/s2) and largest jerk (m/s3) of the ego, [E] float64 each, while the episode ran."""
+def largest_decel_and_jerk(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Largest deceleration (m/s2) and largest absolute jerk (m/s3) of the ego until the end of the episode, [E] float64
+    each, by differences of its speed from decision to decision."""
     is_running = running(trace)
     accel = np.diff(trace.speed_mps[:, :, EGO].astype(np.float64), axis=0) / trace.dt_s
     jerk = np.abs(np.diff(accel, axis=0)) / trace.dt_s
@@ -76,14 +52,19 @@ def _hardness(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
 
 
 def avoidable_by(trace: Trace, vehicle: VehicleConfig, braking_mps2: float) -> np.ndarray:
-    """[E] str, see `safety`."""
+    """[E] str: the vehicle that could have avoided a collision of the ego, ego | social | both | nobody.
+
+    A vehicle could have avoided it if it was moving and would have come to rest without touching the other by braking
+    on its path with `braking_mps2` from 2 s before. The other drives as it did and then straight on. A vehicle at rest
+    that is hit is not at fault. alone: the ego touched no vehicle; none: no collision.
+    """
     who = np.full(len(trace.n_steps), "none", dtype=object)
     for episode in np.flatnonzero(trace.outcome == OUTCOMES.index("collision")):
-        who[episode] = _blame(trace, int(episode), vehicle, braking_mps2)
+        who[episode] = _avoidable_by(trace, int(episode), vehicle, braking_mps2)
     return who.astype(str)
 
 
-def _blame(trace: Trace, episode: int, vehicle: VehicleConfig, braking_mps2: float) -> str:
+def _avoidable_by(trace: Trace, episode: int, vehicle: VehicleConfig, braking_mps2: float) -> str:
     end = int(trace.n_steps[episode])
     window = slice(max(0, end - round(AVOIDING_S / trace.dt_s)), end + 1)
     pose = np.concatenate([trace.position_m, trace.yaw_rad[..., None]], -1)[window, episode].astype(np.float64)
@@ -105,7 +86,7 @@ _Driven = tuple[np.ndarray, np.ndarray]
 
 
 def _hits_braking(brakes: _Driven, other: _Driven, dt_s: float, braking_mps2: float, vehicle: VehicleConfig) -> bool:
-    """Whether one vehicle touches the other before it has come to rest."""
+    """A braking vehicle touches the other before it has come to rest."""
     start_mps = brakes[1][0]
     times = np.arange(0.0, start_mps / braking_mps2, dt_s)
     path, its = (_straight_on(*driven, dt_s, len(times)) for driven in (brakes, other))
@@ -117,7 +98,7 @@ def _hits_braking(brakes: _Driven, other: _Driven, dt_s: float, braking_mps2: fl
 
 
 def _straight_on(pose: np.ndarray, speed: np.ndarray, dt_s: float, n: int) -> np.ndarray:
-    """Poses [max(T, n), 3] of a vehicle that goes on as it last drove."""
+    """Poses [max(T, n), 3] of a vehicle that continues straight at its last speed."""
     x, y, yaw = pose[-1]
     ahead = speed[-1] * dt_s * np.arange(1, n - len(pose) + 1)
     beyond = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), np.full_like(ahead, yaw)], -1)
@@ -125,33 +106,33 @@ def _straight_on(pose: np.ndarray, speed: np.ndarray, dt_s: float, n: int) -> np
 
 
 def _touches(a: np.ndarray, b: np.ndarray, vehicle: VehicleConfig) -> bool:
-    """Whether two vehicles with poses [T, 3] overlap at any time."""
+    """Two vehicles with poses [T, 3] overlap at some time."""
     first, second = (_footprints(torch.from_numpy(pose), vehicle) for pose in (a, b))
     return bool((overlap_depth(first, second) > 0).any())
 
 
 def _footprints(pose: Tensor, vehicle: VehicleConfig) -> Boxes:
-    """Of vehicles at poses [..., 3], m, m, rad."""
+    """Footprints of vehicles at poses [..., 3], m, m, rad."""
     x, y, yaw = pose.unbind(-1)
     return boxes_from_pose(x, y, yaw, vehicle.length_m, vehicle.width_m)
 
 
 def agents(boxes: Boxes, first: int, end: int | None) -> Boxes:
-    """Those of some vehicles, [..., V]."""
+    """Boxes of the vehicles `first` to `end`, [..., V]."""
     return boxes._replace(**{name: getattr(boxes, name)[..., first:end] for name in ("x", "y", "cos", "sin")})
 
 
 def box_distance(a: Boxes, b: Boxes) -> Tensor:
     """Distance between oriented rectangles, [...] m, 0 where they overlap.
 
-    Of two rectangles that are apart, one has a corner among the two nearest points.
+    One of the two nearest points of disjoint rectangles is a corner.
     """
     apart = torch.minimum(_distance_from_corners(a, b), _distance_from_corners(b, a))
     return torch.where(overlap_depth(a, b) > 0, 0.0, apart)
 
 
 def _distance_from_corners(a: Boxes, b: Boxes) -> Tensor:
-    """[...] m: of the corner of `a` that is nearest to the rectangle `b`."""
+    """[...] m: distance from the rectangle `b` to the nearest corner of `a`."""
     nearest = torch.tensor(torch.inf, dtype=a.x.dtype)
     for ahead, left in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         along_a, across_a = ahead * a.half_length, left * a.half_width

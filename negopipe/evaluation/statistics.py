@@ -1,8 +1,8 @@
-"""What evaluated episodes and trained seeds say, and how surely: every quantity with its confidence interval.
+"""Estimates with confidence intervals over evaluated episodes and over training seeds.
 
-The bootstrap intervals are percentile intervals (Efron and Tibshirani 1993, ch. 13). They stay defined where
-all observations are equal, which the bias-corrected one (BCa) does not. They speak of what was resampled and of
-nothing else, and one observation says nothing about its spread: its interval is NaN.
+The bootstrap intervals are percentile intervals (Efron and Tibshirani 1993, ch. 13). They are defined where all
+observations are equal, where the bias-corrected interval (BCa) is not. They cover the randomness of the units that
+are resampled and no other. The interval of a single observation is NaN.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ CONFIDENCE = 0.95
 N_RESAMPLES = 10_000
 """Bootstrap samples per interval."""
 BATCH_VALUES = 1_000_000
-"""Values that the bootstrap holds at a time; 8 MB per array."""
+"""Values that the bootstrap holds at a time, 8 MB per array."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ def mean_difference(a: np.ndarray, b: np.ndarray, rng: np.random.Generator) -> E
 
     a, b: [N] numbers or bool in one unit, entry i of both is task i
 
-    Equal differences give an interval of zero width. Two planners that agree on all of few tasks are thus not
-    shown to be equal. One task has NaN bounds.
+    Equal differences give an interval of zero width, so agreement on a few tasks does not show that two planners
+    are equal. One task has NaN bounds.
 
     Raises ValueError if the lengths differ, or if a or b is empty, not one-dimensional or not finite.
     """
@@ -61,7 +61,7 @@ def mean_difference(a: np.ndarray, b: np.ndarray, rng: np.random.Generator) -> E
 
 
 def difference_of_means(a: np.ndarray, b: np.ndarray, rng: np.random.Generator) -> Estimate:
-    """Mean of a less mean of b, which are over different tasks; the bootstrap resamples each on its own.
+    """Mean of a minus mean of b, over different tasks; the bootstrap resamples each on its own.
 
     a: [N], b: [M] numbers or bool in one unit
 
@@ -71,7 +71,7 @@ def difference_of_means(a: np.ndarray, b: np.ndarray, rng: np.random.Generator) 
 
 
 def spread_difference(a: np.ndarray, b: np.ndarray, rng: np.random.Generator) -> Estimate:
-    """Standard deviation of a less that of b over the same N tasks; the bootstrap resamples tasks, a and b together.
+    """Standard deviation of a minus that of b over the same N tasks; the bootstrap resamples tasks, a and b together.
 
     a, b: [N] numbers in one unit, entry i of both is task i
 
@@ -132,7 +132,7 @@ def _bootstrap(
     *,
     is_paired: bool = False,
 ) -> Estimate:
-    """The statistic of the samples, each [N_i] and resampled on its own, or all alike if they are paired."""
+    """The statistic of the samples [N_i], resampled each on its own, or together if they are paired."""
     value = float(statistic(*samples, axis=-1))
     if min(map(len, samples)) == 1:
         return Estimate(value, np.nan, np.nan)

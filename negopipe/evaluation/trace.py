@@ -1,4 +1,8 @@
-"""The record of evaluated episodes: what every metric, figure and animation is computed from."""
+"""The record of evaluated episodes, from which every metric, figure and animation is computed.
+
+A *setting* is an evaluated distribution of tasks, one of `evaluation.settings`. A *family* is a distribution of tasks
+in the scenario or the curriculum; a setting has the name of the scenario's family that its tasks are drawn from.
+"""
 
 import zipfile
 from dataclasses import dataclass, fields, replace
@@ -10,24 +14,24 @@ import numpy as np
 from negopipe.errors import UserError
 
 OUTCOMES = ("success", "collision", "deadlock", "timeout", "social_collision")
-"""Names of `Trace.outcome`: deadlock and timeout are both truncations; deadlock is the nose-to-nose kind. A collision
-is one of the ego; a social collision is one among social vehicles only, whatever became of the ego."""
+"""Names of `Trace.outcome`. A deadlock is a truncation with the vehicles at rest nose to nose, a timeout any other
+truncation. A collision involves the ego. A social collision involves social vehicles only, whatever the ego did."""
 
 ADAPTIVE = "adaptive"
 """`Trace.planner` of the planner whose prediction horizon the policy chooses."""
 
 ORACLE = "oracle"
-"""`Trace.planner` of the best sequences that a search with full knowledge found."""
+"""`Trace.planner` of the horizon sequences found by a search with full knowledge of the task."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One planner on one family's tasks: E episodes, at most T decisions, V vehicles (column 0 is the ego).
+    """One planner on the tasks of one setting: E episodes, at most T decisions, V vehicles (column 0 is the ego).
 
     Rows after an episode's end (index > n_steps) repeat its last state.
 
     planner: name, e.g. "adaptive", "fixed_2"
-    family: name of the task family, e.g. "push"
+    setting: name of the evaluated setting, e.g. "push"
     dt_s: float, time between decisions
     start_distance_m: [E, V] float32, m, to the mouth that the vehicle meets first
     style_horizon_s: [E, V] float32, s, style in which the social vehicles start; NaN for the ego
@@ -44,7 +48,7 @@ class Trace:
     """
 
     planner: str
-    family: str
+    setting: str
     dt_s: float
     start_distance_m: np.ndarray
     style_horizon_s: np.ndarray
@@ -60,7 +64,7 @@ class Trace:
     outcome: np.ndarray
 
     def first(self, n: int) -> "Trace":
-        """Its first `n` episodes, or all if there are fewer."""
+        """The first `n` episodes, or all if there are fewer."""
         cut = {
             name: getattr(self, name)[:n] if axis == 0 else getattr(self, name)[:, :n]
             for name, axis in EPISODE_AXIS.items()
@@ -73,15 +77,15 @@ EPISODE_AXIS = {
     "position_m": 1, "yaw_rad": 1, "speed_mps": 1, "progress_m": 1,
     "horizon_s": 1, "is_full_braking": 1, "reward": 1,
 }  # fmt: skip
-"""Of the arrays of a `Trace`."""
+"""Array of a `Trace` -> its axis of episodes."""
 
 
-_FORMAT = "negopipe traces 1"
-"""Written into every file; change the number when a field of `Trace` changes."""
+_FORMAT = "negopipe traces 2"
+"""Written into every file; the number changes when a field of `Trace` changes."""
 
 
 def save_traces(path: Path, traces: list[Trace]) -> None:
-    """Write the traces as one compressed npz archive without pickle; `load_traces` gives them back."""
+    """Write the traces as one compressed npz archive without pickle."""
     arrays: dict[str, np.ndarray] = {"format": np.array(_FORMAT), "n_traces": np.array(len(traces))}
     for i, trace in enumerate(traces):
         arrays |= {f"{i}.{field.name}": np.asarray(getattr(trace, field.name)) for field in fields(Trace)}
@@ -92,7 +96,7 @@ def save_traces(path: Path, traces: list[Trace]) -> None:
 def load_traces(path: Path) -> list[Trace]:
     """The traces of `save_traces`, in the same order.
 
-    Raises UserError if the file is missing or is not such an archive.
+    Raises UserError if the file is missing, is no such archive or has another format number.
     """
     if not path.is_file():
         raise UserError(f"{path}: no such file; the stage `evaluate` writes it")
@@ -100,11 +104,11 @@ def load_traces(path: Path) -> list[Trace]:
         raise UserError(f"{path}: not a file of traces; it must be an npz archive written by `evaluate`")
     with np.load(path, allow_pickle=False) as archive:
         if "format" not in archive or str(archive["format"]) != _FORMAT:
-            raise UserError(f"{path}: not a file of traces; its `format` must be {_FORMAT!r}")
+            raise UserError(f"{path}: not a file of traces with the format {_FORMAT!r}; run the stage `evaluate` anew")
         return [_read_trace(archive, i) for i in range(int(archive["n_traces"]))]
 
 
 def _read_trace(archive: np.lib.npyio.NpzFile, index: int) -> Trace:
     values: dict[str, Any] = {field.name: archive[f"{index}.{field.name}"] for field in fields(Trace)}
-    values |= {name: values[name].item() for name in ("planner", "family", "dt_s")}
+    values |= {name: values[name].item() for name in ("planner", "setting", "dt_s")}
     return Trace(**values)

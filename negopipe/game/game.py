@@ -71,6 +71,13 @@ class Game:
     observation_shape: tuple[int, int, int]
 
 
+def joint_horizon(world: World, ego_horizon: Tensor) -> Tensor:
+    """[E, V] float32, s: the horizons of one decision, the ego's choice [E] beside the styles of the others."""
+    horizon = world.style_horizon.clone()
+    horizon[:, EGO] = ego_horizon
+    return horizon
+
+
 def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compiled: bool = False) -> Game:
     """Everything that depends on the configuration but not on a task."""
     scenario, observation = config.scenario, config.observation

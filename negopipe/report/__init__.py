@@ -1,1 +1,1 @@
-"""What a person looks at: figures, animations and the page that holds them."""
+"""The report: figures, animations, tables and the page that holds them."""

@@ -1,8 +1,8 @@
 """Bird's-eye animations of evaluated episodes, in real time, as GIF; single frames as PNG.
 
-One panel per planner, and if it is known what the policy saw and thought, a row below with its grids and the
-probabilities of its horizons. The ribbon ahead of a social vehicle is what the ego's planner predicts of it: the way
-it drives within the prediction horizon at its present speed, in the colour of that horizon.
+One panel per planner and, with a `PolicyTrace`, a row below with the policy's grids and the probabilities of its
+horizons. The ribbon ahead of a social vehicle is the ego's prediction of it: its path within the prediction horizon at
+its present speed, in the colour of that horizon.
 """
 
 from collections.abc import Sequence
@@ -37,22 +37,22 @@ from negopipe.report.style import CORRIDOR, INK, OUTCOME_COLORS, QUIET, horizon_
 from negopipe.simulation.state import EGO
 
 WIDTH_PX, TOP_PX, HEADER_PX, DPI = 640, 26, 26, 100
-INSIGHT_PX, GRID_PX = 128, 96
+POLICY_PX, GRID_PX = 128, 96
 HOLD_S = 1.5
-"""How long the last frame stays before the animation starts again."""
+"""Duration of the last frame before the animation repeats, s."""
 RIBBON_ALPHA = 0.6
 BLOCK_PX = 4
-"""Height of a colour's block in the picture from which the palette is taken: enough pixels to be kept."""
+"""Height of a colour's block in the picture that gives the palette; enough pixels for the colour to be kept."""
 N_COLORS = 128
-"""Colours of the GIF's one palette; edges are smoothed, so there are more shades than colours named here."""
+"""Colours of the GIF's one palette; smoothed edges add shades to the colours named here."""
 SLIDE_COLORS = 32
-"""... of one slide's: charts have few."""
+"""Colours of the palette of a slide; charts have few."""
 
 
 def choose_episodes(trace: Trace, n_episodes: int) -> list[int]:
-    """Indices of the episodes to show: successes at evenly spaced ranks of the return; of one, the median.
+    """Indices of the episodes to show: successes at evenly spaced ranks of the return; the median for one episode.
 
-    Without a success, all episodes take part. Equal returns rank by index: the same choice each time.
+    Without a success, all episodes are ranked. Equal returns rank by index.
     """
     shown = np.flatnonzero(trace.outcome == OUTCOMES.index("success"))
     if len(shown) == 0:
@@ -79,7 +79,7 @@ def animate(
 ) -> bytes:
     """The episode under every planner of `traces`, one panel each, as a looping GIF in real time.
 
-    policy_trace: of the first of them
+    policy_trace: inputs and outputs of the first planner, if it is the policy
     fps: rounded so that a frame lasts whole hundredths of a second, the unit of GIF
     """
     frame_s = round(100 / fps) / 100
@@ -104,14 +104,14 @@ def still(
     fixed_s: FixedHorizons,
     policy_trace: PolicyTrace | None = None,
 ) -> bytes:
-    """One frame of the same picture as PNG; after an episode's end its last state stays."""
+    """One frame of the animation as PNG; after the end of an episode its last state stays."""
     buffer = BytesIO()
     _Film(traces, episode, scene, fixed_s, policy_trace).draw(time_s).save(buffer, "PNG")
     return buffer.getvalue()
 
 
 def slides(pngs: Sequence[bytes], seconds: float) -> bytes:
-    """Pictures one after the other as a GIF, each shown for so long."""
+    """Pictures one after the other as a GIF, each shown for `seconds`."""
     first, *rest = (Image.open(BytesIO(png)).convert("RGB").quantize(SLIDE_COLORS) for png in pngs)
     buffer = BytesIO()
     first.save(buffer, "gif", save_all=True, append_images=rest, duration=round(seconds * 1e3), loop=0)
@@ -125,9 +125,9 @@ def _horizons(traces: Sequence[Trace], episode: int) -> np.ndarray:
 
 
 def _palette(frames: Sequence[Image.Image], horizons_s: np.ndarray) -> Image.Image:
-    """One palette for all frames, so that what stands still stays the same and is stored once.
+    """One palette for all frames, so that static parts are the same in each and stored once.
 
-    A ribbon's colour may be missing in the frames given: a block of it over every background is added.
+    A ribbon's colour may be missing in the given frames, so a block of it over every background is added.
     """
     ribbons = np.array([to_rgb(horizon_color(horizon_s)) for horizon_s in horizons_s]).reshape(-1, 1, 3)
     grounds = np.array([to_rgb(color) for color in (ROAD, CORRIDOR, PARKED, GROUND)])
@@ -138,7 +138,7 @@ def _palette(frames: Sequence[Image.Image], horizons_s: np.ndarray) -> Image.Ima
 
 
 class _Film:
-    """Draws frames: what stands still once, what moves on top of it."""
+    """Draws frames: the static parts once, the moving parts on top."""
 
     def __init__(
         self,
@@ -150,12 +150,12 @@ class _Film:
     ) -> None:
         left_m, right_m, low_m, high_m = view_limits([trace.position_m[0, episode] for trace in traces], scene)
         road_px = round(WIDTH_PX * (high_m - low_m) / (right_m - left_m))
-        below_px = 0 if policy_trace is None else INSIGHT_PX
+        below_px = 0 if policy_trace is None else POLICY_PX
         height_px = TOP_PX + len(traces) * (HEADER_PX + road_px + 4) + below_px
         self.figure = Figure((WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
         self.canvas = FigureCanvasAgg(self.figure)
         self.panels: list[_Panel] = []
-        self.thoughts: list[_Thoughts] = []
+        self.policy_rows: list[_PolicyRow] = []
         for row, trace in enumerate(traces):
             bottom_px = height_px - TOP_PX - (row + 1) * (HEADER_PX + road_px) - row * 4
             axis = self.figure.add_axes((0, bottom_px / height_px, 1, road_px / height_px))
@@ -164,7 +164,7 @@ class _Film:
             draw_scene(axis, scene)
             self.panels.append(_Panel(axis, trace, episode, scene, fixed_s))
         if policy_trace is not None:
-            self.thoughts.append(_Thoughts(self.figure, policy_trace, traces[0].dt_s))
+            self.policy_rows.append(_PolicyRow(self.figure, policy_trace, traces[0].dt_s))
         self.clock = self.figure.text(0.012, 1 - 5 / height_px, "", va="top", fontsize=12, animated=True)
         self.canvas.draw()
         self.background = self.canvas.copy_from_bbox(self.figure.bbox)
@@ -173,7 +173,7 @@ class _Film:
         self.canvas.restore_region(self.background)  # type: ignore[no-untyped-call]
         self.clock.set_text(f"{time_s:.1f} s")
         self.figure.draw_artist(self.clock)
-        moving: list[_Panel | _Thoughts] = [*self.panels, *self.thoughts]
+        moving: list[_Panel | _PolicyRow] = [*self.panels, *self.policy_rows]
         for panel in moving:
             for artist in panel.artists_at(time_s):
                 self.figure.draw_artist(artist)
@@ -205,7 +205,7 @@ class _Panel:
         return [*shapes, self.crash, self.horizon, self.status]
 
     def artists_at(self, time_s: float) -> list[Artist]:
-        """Moves everything to where it is at that time and returns what is to be drawn, in order."""
+        """Move all parts to their places at a time and return them in drawing order."""
         end = self.trace.n_steps[self.episode]
         step = min(time_s / self.trace.dt_s, float(end))
         position, yaw, speed = self._motion(step)
@@ -230,7 +230,7 @@ class _Panel:
 
     def _show_prediction(self, position: np.ndarray, yaw: np.ndarray, speed: np.ndarray, horizon_s: float) -> None:
         has_horizon = np.isfinite(horizon_s)
-        self.horizon.set_text(f"looks {horizon_s:g} s ahead" if has_horizon else "")
+        self.horizon.set_text(f"horizon {horizon_s:g} s" if has_horizon else "")
         for ribbon, vehicle in zip(self.ribbons, range(1, len(yaw)), strict=True):
             way_m = speed[vehicle] * horizon_s if has_horizon else 0.0
             ribbon.set_xy(ribbon_corners(self.scene, position[vehicle], yaw[vehicle], way_m))
@@ -249,8 +249,8 @@ class _Panel:
         self.crash.set_data(middle[:1], middle[1:])
 
 
-class _Thoughts:
-    """What the policy sees and how likely it finds each horizon: a row of grids, then bars."""
+class _PolicyRow:
+    """Inputs and outputs of the policy: a row of grids, then a bar per horizon with its probability."""
 
     def __init__(self, figure: Figure, policy_trace: PolicyTrace, dt_s: float) -> None:
         self.policy_trace, self.dt_s = policy_trace, dt_s
@@ -274,7 +274,7 @@ class _Thoughts:
         axis = figure.add_axes(
             (bars_px[0] / width_px, bars_px[1] / height_px, bars_px[2] / width_px, size_px / height_px)
         )
-        axis.set_title("how likely each horizon", fontsize=9, fontweight="normal", pad=3)
+        axis.set_title("probability of each horizon", fontsize=9, fontweight="normal", pad=3)
         axis.set(xlim=(0, 1), xticks=[])
         axis.set_yticks(range(len(policy_trace.horizons_s)), [f"{horizon:g} s" for horizon in policy_trace.horizons_s])
         axis.tick_params(axis="y", length=0)
@@ -291,7 +291,7 @@ class _Thoughts:
         return [*self.images, *self.bars, *self.shares]
 
     def artists_at(self, time_s: float) -> list[Artist]:
-        """Those of the decision that is being carried out; after the end, of the last one."""
+        """Parts of the decision that is being carried out; after the end, of the last one."""
         step = min(int(time_s / self.dt_s + 1e-6), len(self.policy_trace.grids) - 1)
         for image, grid in zip(self.images, self.policy_trace.grids[step], strict=True):
             image.set_data(_as_driven(grid))

@@ -1,103 +1,98 @@
-"""How to read each figure of the report: name -> title and text, with `{values}` that `caption` fills in."""
+"""Titles and captions of the report's figures: name -> title and text, with `{values}` that `caption` fills in."""
 
 CAPTIONS = {
     "comparison": (
-        "Arrivals, time, suspensions and reward: {settings}",
-        """Boxes hold the middle half of the episodes, the line in them is the median; thin lines reach
-        from the 10th to the 90th percentile; the dot and the number are the mean. Driving times are
-        of arrivals only: read them together with the share that arrived. A crash ends an episode
-        early, so few suspensions and little time at rest speak only for a planner that arrives.""",
+        "Arrivals, driving time, suspensions and reward: {settings}",
+        """Boxes: middle half of the episodes, with the median as a line. Thin lines: 10th to 90th percentile. Dot and
+        number: mean. Driving times are of arrivals only and are to be read together with the share of arrivals. A
+        collision ends an episode early, so few suspensions are a merit only of a planner that arrives.""",
     ),
     "outcomes": (
-        "How the episodes ended",
-        """Each bar is all episodes of a planner. Deadlock: both vehicles stand, facing each other;
-        timeout: any other episode that was not finished within the limit. A collision is one of the ego; one
-        among the other vehicles only is a social collision, which costs the ego nothing.""",
+        "Outcomes",
+        """Each bar: all episodes of a planner. Deadlock: at the time limit the vehicles are at rest nose to nose.
+        Timeout: any other episode that reaches the time limit. Collision: the ego collides. Social collision: social
+        vehicles collide with each other, which does not change the ego's reward.""",
     ),
     "success_by_style": (
-        "Success against every style",
-        """Rows are planners, columns are styles of the other driver, which the ego is not told. A
-        planner that reads the other driver is dark in the whole row.""",
+        "Success rate by social style",
+        """Rows: planners. Columns: styles of the social driver, which the ego does not observe. A planner that adapts
+        to the social driver has a dark row.""",
     ),
     "arrivals": (
         "Arrivals over time",
-        """Each line is a planner: the share of all its episodes in which the ego has arrived by a time. A
-        line that rises early is fast, one that ends low often does not arrive at all.""",
+        """Each line: share of all episodes of a planner in which the ego has arrived by a time. A line that rises
+        early belongs to a fast planner; a line that ends low, to one that often does not arrive.""",
     ),
     "outcome_map": (
-        "{setting}: which tasks succeed",
-        """Of the adaptive planner. Each row is a style of the other driver (0 s pushes, 6 s gives way),
-        each column a start distance; a column is filled with the outcomes of its episodes. The bars
-        below mark distances that training left out: where failures stand above them, the policy has
-        learnt its tasks by heart.""",
+        "{setting}: outcomes by style and start distance",
+        """Episodes of the adaptive planner. Rows: styles of the social driver (0 s pushes, 6 s gives way). Columns:
+        start distances, filled with the outcomes of their episodes. The bars below the columns mark distances that
+        training left out: failures above them show a policy overfitted to the training distances.""",
     ),
     "space_time": (
         "{setting}: one task, every planner",
-        """The ego drives upwards in the diagram, the social vehicle downwards; where a line is flat, the
-        vehicle stands. The shaded band is the corridor. The ego's line has the colour of the
-        prediction horizon that it used; a cross is a collision. The task is that of the animation
-        side by side.""",
+        """Position along the road over time, of the ego (upwards) and of the social vehicle (downwards); a flat line is
+        a vehicle at rest. Shaded band: corridor. Colour of the ego's line: prediction horizon of the decision. Cross:
+        collision. The task is that of the side-by-side animation.""",
     ),
     "film": (
         "{setting}, episode {episode}: {planners}",
-        """The ego comes from the left in its planner's colour, the social vehicle (own horizon
-        {style_s:g} s) from the right in grey, with the ribbon that the ego's planner foresees of it.""",
+        """The ego comes from the left in its planner's colour, the social vehicle (style {style_s:g} s) from the right
+        in grey. Ribbon: the ego's prediction of the social vehicle.""",
     ),
     "film_alone": (
         "{setting}, episode {episode}: {planners}, {which}",
-        """The ego comes from the left, the social vehicle (own horizon {style_s:g} s) from the right in grey, with
-        the ribbon that the ego's planner foresees of it. Below the road stand the occupancy grids that the policy
-        sees, ahead is to the right, and how likely it finds each prediction horizon.""",
+        """The ego comes from the left, the social vehicle (style {style_s:g} s) from the right in grey. Ribbon: the
+        ego's prediction of the social vehicle. Below the road: the occupancy grids that the policy observes (ahead is
+        to the right) and its probability of each prediction horizon.""",
     ),
     "behaviour_index": (
         "Behaviour index",
-        """Eq. 7. Above zero the social vehicle has come further since the start than the ego
-        (prosocial), below zero the ego has (competitive). Thick line and band: median and 10th to
-        90th percentile of the adaptive planner; thin lines: medians of the others. A line ends where
-        fewer than a quarter of the planner's episodes still run.""",
+        """Eq. 7. Above zero (prosocial) the social vehicle has travelled further since the start than the ego; below
+        zero (competitive) the ego has. Thick line and band: median and 10th to 90th percentile of the adaptive
+        planner. Thin lines: medians of the other planners. A line ends where fewer than a quarter of the planner's
+        episodes still run.""",
     ),
     "behaviour_map": (
-        "When two horizons meet",
-        """Every fixed horizon of the ego against every style of the social driver, on the same starts. On the left each
-        cell is filled with the outcomes; on the right stands how often the ego passes first, of the episodes in which
-        anybody does, and the mean smallest gap. {verdict}""",
+        "Behaviour map",
+        """Every fixed horizon of the ego against every style of the social driver, on the same starts. Left: outcomes.
+        Right: share of first passages that are the ego's, and mean smallest gap. {verdict}""",
     ),
     "horizons": (
-        "Horizons that the policy chose",
-        """At each time, the share of all episodes in which the adaptive planner used each prediction
-        horizon: 0 s ignores the social vehicle and pushes, 6 s gives way early. White: the episode is
-        over.""",
+        "Chosen horizons over time",
+        """Share of all episodes in which the adaptive planner uses each prediction horizon at a time: 0 s ignores the
+        social vehicle and pushes, 6 s gives way early. White: the episode is over.""",
     ),
     "horizons_along": (
-        "Where it chose them",
-        """The same choices by place: of all decisions that the adaptive planner took within a metre of the road, the
-        share of each horizon. Dashed lines are the mouths of the corridor. Where it waits it decides many times.""",
+        "Chosen horizons along the road",
+        """Share of each prediction horizon among the decisions that the adaptive planner takes within each metre of the
+        road. Dashed lines: mouths of the corridor. A waiting vehicle takes many decisions at one place.""",
     ),
     "learning_curves": (
         "Learning curves",
-        """Success rate and return of the latest episodes while training, over decisions and over wall time. Lines
-        are means over seeds, bands reach from the lowest to the highest seed.""",
+        """Success rate and return of the latest training episodes, over decisions and over wall time. Lines: means
+        over seeds. Bands: lowest to highest seed.""",
     ),
     "training": (
         "Learning curves",
-        """Thin: as logged; thick: running mean. Stages of the curriculum: {stages}. A dashed line begins
-        the next one, whose tasks are drawn differently, so a drop there is no setback.""",
+        """Thin lines: logged values. Thick lines: running means. Stages of the curriculum: {stages}. A dashed line
+        begins the next stage, whose tasks are harder or other, so a drop there is expected.""",
     ),
     "training_outcomes": (
-        "What was mastered when",
-        """Episodes of the training, a tenth of it at a time, by the other driver's style and start distance. Actions
-        are drawn here, so a few crashes are part of it. A timeout is any episode that was not finished within the
-        limit, deadlocks among them. The bars below mark distances that training leaves out.""",
+        "Outcomes during training",
+        """Episodes of successive tenths of the training, by the social driver's style and start distance. Training
+        samples its actions, so a few collisions are expected. Timeouts include deadlocks. The bars below the columns
+        mark distances that training leaves out.""",
     ),
 }
 
 WATCH = (
-    "Real time. The adaptive planner's successes in a setting are ranked by return (without a success, all "
-    "episodes are). The median one is shown side by side with other planners on the same task. Evenly spaced "
-    "ranks and the episode of the lowest return are shown alone. To watch any other episode: "
+    "Animations in real time. The successes of the adaptive planner in a setting are ranked by return (all episodes "
+    "if there is no success). The median one is shown side by side with other planners on the same task. Evenly "
+    "spaced ranks and the episode of the lowest return are shown alone. Any other episode is animated by "
     "stages=[replay] episode=<setting>/<planner>/<number>."
 )
-NOT_TRAINED = "The policy was not trained in this run: there is no history.csv. The config names its checkpoint."
+NOT_TRAINED = "The policy was not trained in this run, so there is no history.csv. The config names its checkpoint."
 
 
 def caption(name: str, **values: object) -> tuple[str, str]:

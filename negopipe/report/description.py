@@ -1,4 +1,4 @@
-"""What a run is and how it went, in words: the text at the top of its page in the dashboard."""
+"""Description of a run and its results, the text at the top of its page in the dashboard."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +12,16 @@ if TYPE_CHECKING:
 
 
 def run_description(config: "RunConfig") -> str:
-    """Where the policy comes from and what it is put to."""
-    return f"{config.name}, seed {config.seed}: {_origin(config)}{_trial(config)}"
+    """Origin of the policy and its evaluation."""
+    return f"{config.name}, seed {config.seed}: {_origin(config)}{_evaluation(config)}"
 
 
-def _trial(config: "RunConfig") -> str:
+def _evaluation(config: "RunConfig") -> str:
     if "evaluate" not in config.stages:
         return ""
     settings = [setting_label(setting).lower() for setting in config.evaluation.settings]
     baselines = [planner_label(name, config.evaluation.fixed_horizons_s) for name in config.evaluation.baselines] or [
-        "nobody"
+        "no baseline"
     ]
     tasks = f"{config.evaluation.n_episodes:,} held-out tasks each of {' and '.join(settings)}"
     return f" Evaluated on {tasks}, against {', '.join(baselines)}."
@@ -29,23 +29,23 @@ def _trial(config: "RunConfig") -> str:
 
 def _origin(config: "RunConfig") -> str:
     if "train" not in config.stages:
-        return f"the policy of checkpoint {config.checkpoint}." if config.checkpoint else "a policy trained before."
+        return f"the policy of checkpoint {config.checkpoint}." if config.checkpoint else "a policy trained earlier."
     n_decisions = config.algorithm.n_worlds * config.algorithm.n_steps
     stages = ", ".join(f"{stage.name} {stage.n_iterations * n_decisions:,}" for stage in config.curriculum.stages)
-    start = f" on from checkpoint {config.checkpoint}" if config.checkpoint else ""
-    return f"a policy trained by {config.algorithm.kind}{start}, decisions by stage: {stages}{_shown(config)}."
+    start = f" from checkpoint {config.checkpoint}" if config.checkpoint else ""
+    return f"a policy trained by {config.algorithm.kind}{start}, decisions by stage: {stages}{_demonstrations(config)}."
 
 
-def _shown(config: "RunConfig") -> str:
+def _demonstrations(config: "RunConfig") -> str:
     demonstrations = config.curriculum.demonstrations
     if demonstrations is None:
         return ""
     n_tasks = demonstrations.n_tasks * len(config.curriculum.stages[-1].families)
-    return f", shown what a search that knows everything finds on {n_tasks} training tasks"
+    return f", with demonstrations of a search with full knowledge on {n_tasks} training tasks"
 
 
 def log_summary(config: "RunConfig", run: "TrackedRun", results: dict[str, Any]) -> None:
-    """The run's description, and a tag to filter by: `standing`, against the best of the other planners.
+    """Set the run's description and its tag `standing`, relative to the best of the baselines.
 
     results: `evaluation` and `versus_adaptive` of metrics.json
     """

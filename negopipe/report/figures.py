@@ -1,8 +1,8 @@
-"""The paper's figures and a few more, drawn from the evaluation's table, its traces and the training history.
+"""Figures of the evaluation's table, its traces and the training history, the paper's among them.
 
 Every function takes data and returns a matplotlib Figure 4.4 inches wide: a column in print, and still
 readable on a phone. Planner colours are the same in every figure: a fixed horizon has the colour of its
-horizon, from amber (0 s, sees nobody coming) to navy (6 s, careful). The colours stay apart under the three
+horizon, from amber (0 s, no prediction) to navy (6 s, cautious). The colours stay apart under the three
 common colour vision deficiencies (smallest CIE76 difference 27).
 """
 
@@ -19,6 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from negopipe.evaluation import measures
 from negopipe.evaluation.metrics import behaviour_index, running
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES, Trace
@@ -39,25 +40,24 @@ from negopipe.simulation.state import EGO
 
 
 def outcome_legend(figure: Figure, outcomes: Collection[str]) -> None:
-    """A legend above the figure of those of `outcomes`, in one order everywhere."""
+    """A legend of `outcomes` above the figure, in the same order everywhere."""
     handles = [Patch(color=c, label=outcome_label(name)) for name, c in OUTCOME_COLORS.items() if name in outcomes]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=1.0, columnspacing=1.0)
 
 
+COMPARED = ("driving_time_s", "suspend_count", "suspend_time_s", "reward")
+"""Measures whose distributions the paper compares."""
+
+
 @styled
 def comparison(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
-    """The paper's bars: arrivals, driving time, suspensions, time at rest and reward of every planner.
+    """The paper's measures of every planner: arrivals and the distributions of `COMPARED`.
 
     Boxes hold the middle half of the episodes, whiskers reach from the 10th to the 90th percentile, the line
     is the median, the dot and the number are the mean.
     """
     settings, planners = settings_and_planners(table)
-    measures = {
-        "driving_time_s": "driving time of arrivals [s]",
-        "suspend_count": "suspensions [count]",
-        "suspend_time_s": "time at rest [s]",
-        "reward": "reward [sum of Eq. 3]",
-    }
+    drawn = [measure for name in COMPARED for measure in measures.MEASURES if measure.name == name]
     size = (WIDTH_IN, 1.0 + (0.35 + 0.16 * len(planners)) * 5)
     figure = Figure(size, layout="constrained")
     axes = figure.subplots(5, len(settings), sharex="row", sharey=True, squeeze=False)
@@ -66,9 +66,9 @@ def comparison(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
         rows = table[table["setting"] == setting]
         by_planner = [rows[rows["planner"] == planner] for planner in planners]
         _arrival_bars(axes[0, column], by_planner, list(colors.values()))
-        for axis, (measure, label) in zip(axes[1:, column], measures.items(), strict=True):
-            _boxes(axis, [part[measure].dropna().to_numpy() for part in by_planner], list(colors.values()))
-            axis.set_xlabel(label)
+        for axis, measure in zip(axes[1:, column], drawn, strict=True):
+            _boxes(axis, [part[measure.column].dropna().to_numpy() for part in by_planner], list(colors.values()))
+            axis.set_xlabel(measure.heading)
         axes[0, column].set_title(setting_label(setting))
     axes[0, 0].set_yticks(range(len(planners)), [planner_label(planner, fixed_s) for planner in planners])
     axes[0, 0].set_ylim(len(planners) - 0.5, -0.5)
@@ -107,7 +107,7 @@ def _boxes(axis: Axes, samples: list[np.ndarray], colors: list[str]) -> None:
 
 
 def _row_numbers(axis: Axes, texts: list[str]) -> None:
-    """A number at the right end of every row, and quiet lines behind the rows."""
+    """A number at the right end of every row, and grid lines behind the rows."""
     axis.grid(axis="x")
     axis.set_axisbelow(True)
     axis.tick_params(axis="y", length=0)
@@ -121,12 +121,12 @@ def behaviour(traces: Sequence[Trace], fixed_s: FixedHorizons) -> Figure:
 
     A curve ends where fewer than a quarter of the planner's episodes still run.
     """
-    settings = _families(traces)
+    settings = _settings(traces)
     figure = Figure((WIDTH_IN, 0.6 + 1.9 * len(settings)), layout="constrained")
     axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
     colors = planner_colors([trace.planner for trace in traces], fixed_s)
     for axis, setting in zip(axes, settings, strict=True):
-        for trace in (trace for trace in traces if trace.family == setting):
+        for trace in (trace for trace in traces if trace.setting == setting):
             _behaviour_curve(axis, trace, colors[trace.planner])
         axis.axhline(0, color=QUIET, linewidth=0.8)
         axis.set(ylim=(-95, 95), ylabel="behaviour index ψ [°]", title=setting_label(setting))
@@ -152,7 +152,7 @@ def _behaviour_curve(axis: Axes, trace: Trace, color: str) -> None:
 
 @styled
 def horizons(traces: Sequence[Trace]) -> Figure:
-    """Which prediction horizon the adaptive planner chooses over time, as shares of all its episodes."""
+    """Prediction horizons of the adaptive planner over time, as shares of all its episodes."""
     adaptive = [trace for trace in traces if trace.planner == ADAPTIVE]
     figure = Figure((WIDTH_IN, 0.7 + 1.5 * len(adaptive)), layout="constrained")
     axes = figure.subplots(len(adaptive), 1, sharex=True, squeeze=False)[:, 0]
@@ -166,7 +166,7 @@ def horizons(traces: Sequence[Trace]) -> Figure:
             axis.stairs(base + share, edges_s, baseline=base, fill=True, color=horizon_color(level))
             base = base + share
         axis.stairs(base, edges_s, baseline=None, color=INK, linewidth=0.8)
-        axis.set(ylim=(0, 100), ylabel="episodes [%]", title=setting_label(trace.family))
+        axis.set(ylim=(0, 100), ylabel="episodes [%]", title=setting_label(trace.setting))
     axes[-1].set(xlabel="time [s]", xlim=(0, max(trace.n_steps.max() * trace.dt_s for trace in adaptive)))
     _horizon_legend(figure, levels)
     return figure
@@ -174,7 +174,7 @@ def horizons(traces: Sequence[Trace]) -> Figure:
 
 @styled
 def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
-    """Which prediction horizon the adaptive planner chooses where, as shares of its decisions before it arrives."""
+    """Prediction horizons of the adaptive planner along the road, as shares of its decisions before it arrives."""
     adaptive = [trace for trace in traces if trace.planner == ADAPTIVE]
     figure = Figure((WIDTH_IN, 0.7 + 1.5 * len(adaptive)), layout="constrained")
     axes = figure.subplots(len(adaptive), 1, sharex=True, squeeze=False)[:, 0]
@@ -190,7 +190,7 @@ def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
         for mouth_m in (0.0, corridor_length_m):
             axis.axvline(mouth_m, color="white", linewidth=2.2)
             axis.axvline(mouth_m, color=INK, linestyle="--", linewidth=1.0)
-        axis.set(ylim=(0, 100), ylabel="decisions [%]", title=setting_label(trace.family))
+        axis.set(ylim=(0, 100), ylabel="decisions [%]", title=setting_label(trace.setting))
         axis.text(corridor_length_m / 2, 102, "corridor", ha="center", va="bottom", color=QUIET, fontsize=8.5)
     axes[-1].set(xlabel="ego from the mouth of the corridor [m]", xlim=(edges_m[0], edges_m[-1]))
     _horizon_legend(figure, levels)
@@ -209,10 +209,10 @@ def _decided(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
 def space_time(
     traces: Sequence[Trace], episode: int, corridor_sigma_m: tuple[float, float], fixed_s: FixedHorizons
 ) -> Figure:
-    """One episode under every planner: where both vehicles are along the road's reference line over time.
+    """One episode under every planner: positions of both vehicles along the road's reference line over time.
 
-    traces: of one family; the ego's line has the colour of the prediction horizon of that decision
-    corridor_sigma_m: where the corridor begins and ends on the line, which the ego drives along
+    traces: of one setting; the ego's line has the colour of the prediction horizon of that decision
+    corridor_sigma_m: begin and end of the corridor on the line, along which the ego drives
     """
     half_m = (corridor_sigma_m[1] - corridor_sigma_m[0]) / 2
     figure, axes = _two_columns(len(traces), 1.6)
@@ -238,7 +238,9 @@ def _space_time_lines(axis: Axes, trace: Trace, episode: int, half_m: float) -> 
     end = trace.n_steps[episode]
     time_s = np.arange(end + 1) * trace.dt_s
     from_middle = trace.progress_m[: end + 1, episode] - half_m
-    sigma = np.where(np.arange(from_middle.shape[1]) == EGO, from_middle, -from_middle)  # the others come towards it
+    sigma = np.where(
+        np.arange(from_middle.shape[1]) == EGO, from_middle, -from_middle
+    )  # social vehicles drive towards it
     horizon = trace.horizon_s[:end, episode, EGO]
     points = np.stack([time_s, sigma[:, EGO]], -1)
     colors = [horizon_color(h) if np.isfinite(h) else QUIET for h in horizon]
@@ -313,12 +315,12 @@ def render(figure: Figure, format_: str) -> bytes:
 
 
 def settings_and_planners(table: pd.DataFrame) -> tuple[list[str], list[str]]:
-    """Settings and planners in the order in which the table brings them."""
+    """Settings and planners in the order of the table."""
     return list(table["setting"].unique()), list(table["planner"].unique())
 
 
-def _families(traces: Sequence[Trace]) -> list[str]:
-    return list(dict.fromkeys(trace.family for trace in traces))
+def _settings(traces: Sequence[Trace]) -> list[str]:
+    return list(dict.fromkeys(trace.setting for trace in traces))
 
 
 def _planner_legend(figure: Figure, colors: Mapping[str, str], fixed_s: FixedHorizons) -> None:

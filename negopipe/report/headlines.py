@@ -1,4 +1,4 @@
-"""What a run has shown, in plain words: the first lines of the page and the run's description."""
+"""Headlines of a run: the first lines of the page and of the run's description."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,11 +8,11 @@ from negopipe.evaluation.trace import ADAPTIVE, ORACLE
 from negopipe.report.labels import planner_label, setting_label
 
 Measures = Mapping[str, Any]
-"""The measures of one planner in one setting, as `evaluation.metrics.summary` names them."""
+"""Measures of one planner in one setting, by the names in `evaluation.measures`."""
 Difference = Mapping[str, Any]
-"""value, low, high and n_tasks of a difference on the same tasks."""
+"""Difference on the same tasks: value, low, high and n_tasks."""
 Versus = Mapping[str, Difference]
-"""What `evaluation.comparison.versus_adaptive` says of one planner in one setting, by the measure."""
+"""Differences of one planner to the policy in one setting, by measure (`evaluation.comparison.versus_adaptive`)."""
 
 
 def headlines(
@@ -20,7 +20,7 @@ def headlines(
     versus: Mapping[str, Mapping[str, Versus]],
     fixed_s: FixedHorizons,
 ) -> list[tuple[str, str]]:
-    """Verdict and figures behind it: over all settings, if there are several, then setting by setting.
+    """Verdicts with their numbers: over all settings, if there are several, then setting by setting.
 
     evaluation: setting -> planner -> measures, the first setting first
     versus: setting -> planner other than the policy -> differences to it
@@ -33,10 +33,10 @@ def headlines(
 
 
 def standing(evaluation: Mapping[str, Mapping[str, Measures]], versus: Mapping[str, Mapping[str, Versus]]) -> str:
-    """Against the best of the others: ahead | level | behind; alone if there are none.
+    """Standing relative to the best baseline: ahead | level | behind; alone without baselines.
 
-    Every planner is taken by its weakest setting. Where that is the same for both, the difference on the same tasks
-    decides; else the policy is ahead where its interval lies above the other's.
+    Every planner is represented by its weakest setting. If both have the same one, the difference on the same tasks
+    decides; else the policy is ahead if its interval lies above the baseline's.
     """
     baselines = _baselines(evaluation)
     if not baselines:
@@ -57,14 +57,14 @@ RELIABILITY = {"ahead": "more reliably than", "level": "as reliably as", "behind
 
 
 def _baselines(evaluation: Mapping[str, Mapping[str, Measures]]) -> list[str]:
-    """Those who drove in all settings; the oracle, who knows what no driver does, is nobody's baseline."""
+    """Planners that drove in all settings, without the oracle, which has full knowledge."""
     first, *others = evaluation.values()
     drove = [planner for planner in first if all(planner in measures for measures in others)]
     return [planner for planner in drove if planner not in (ADAPTIVE, ORACLE)]
 
 
 def _weakest(evaluation: Mapping[str, Mapping[str, Measures]], planner: str) -> tuple[str, Measures]:
-    """The setting in which a planner succeeds least often, and its measures there."""
+    """The setting in which a planner has its lowest success rate, and its measures there."""
     setting = min(evaluation, key=lambda setting: evaluation[setting][planner]["success_rate"])
     return setting, evaluation[setting][planner]
 
@@ -83,7 +83,7 @@ def _overall(
     baselines: Sequence[str],
     fixed_s: FixedHorizons,
 ) -> tuple[str, str]:
-    """Who gets through whatever comes."""
+    """Verdict over all settings."""
     best = _best(evaluation, baselines)
     weakest = {planner: _weakest(evaluation, planner) for planner in (ADAPTIVE, best)}
     figures = (
@@ -97,15 +97,15 @@ def _overall(
     )
     verdict = (
         f"Over all settings the adaptive planner succeeds {RELIABILITY[standing(evaluation, versus)]} "
-        f"{planner_label(best, fixed_s)}, the best of the others."
+        f"{planner_label(best, fixed_s)}, the best baseline."
     )
-    return verdict, f"Where each is weakest, {'; '.join(figures)}. Reward: {rewards}."
+    return verdict, f"In their weakest settings, {'; '.join(figures)}. Reward: {rewards}."
 
 
 def headline(
     setting: str, measures: Mapping[str, Measures], versus: Mapping[str, Versus], fixed_s: FixedHorizons
 ) -> tuple[str, str]:
-    """The adaptive planner set against the best of the others, by success rate, then by reward."""
+    """The adaptive planner against the best baseline, by success rate, then by reward."""
     baselines = _baselines({setting: measures})
     if not baselines:
         return f"{setting_label(setting)}: {_achievement(ADAPTIVE, measures[ADAPTIVE])}.", ""
@@ -113,14 +113,14 @@ def headline(
     ours, theirs = measures[ADAPTIVE], measures[best]
     baseline = planner_label(best, fixed_s)
     verdict = f"{setting_label(setting)}: {_verdict(versus[best], baseline)}."
-    parts = (_achievement(ADAPTIVE, ours), f"{_achievement(baseline, theirs)} (the best of the others)")
+    parts = (_achievement(ADAPTIVE, ours), f"{_achievement(baseline, theirs)} (the best baseline)")
     n_tasks = versus[best]["success"]["n_tasks"]
     told = [*parts, *_rewarded(versus[best]["reward"])]
     return verdict, f"{'; '.join(told).capitalize()}. Differences on the same {n_tasks} tasks, with 95 % intervals."
 
 
 def _rewarded(difference: Difference) -> list[str]:
-    """By how much the policy is rewarded otherwise than the other, if more than chance says so."""
+    """Difference of the rewards, if its interval excludes zero."""
     if _includes_zero(difference):
         return []
     which = "lower" if difference["value"] > 0 else "higher"
@@ -128,7 +128,7 @@ def _rewarded(difference: Difference) -> list[str]:
 
 
 def _verdict(versus: Versus, baseline: str) -> str:
-    """Success decides where its paired interval excludes zero, else the driving time is told."""
+    """Comparison by success rate if its paired interval excludes zero, else by driving time."""
     success, time = (versus[measure] for measure in ("success", "driving_time_s"))
     if not _includes_zero(success):
         verb = "loses to" if success["value"] > 0 else "beats"
@@ -142,7 +142,7 @@ def _verdict(versus: Versus, baseline: str) -> str:
 
 
 def _includes_zero(difference: Mapping[str, Any]) -> bool:
-    """So does one whose interval is not known."""
+    """True also without an interval."""
     return difference["low"] is None or difference["low"] <= 0 <= difference["high"]
 
 

@@ -1,4 +1,4 @@
-"""Names of planners, settings and outcomes as figures and tables show them."""
+"""Labels of planners, settings and outcomes in figures and tables."""
 
 import re
 

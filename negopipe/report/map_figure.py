@@ -1,4 +1,4 @@
-"""The behaviour map as a figure and in words."""
+"""The behaviour map as a figure, and claim 8 as a paragraph."""
 
 from collections.abc import Sequence
 
@@ -21,11 +21,11 @@ RATES = {
     "timeout": "other_timeout_rate",
     "social_collision": "social_collision_rate",
 }
-"""Outcome -> its column, in the order in which the parts of a cell are stacked."""
+"""Outcome -> its column, in the order of the parts of a cell."""
 
 FIRST_COLORMAP = LinearSegmentedColormap.from_list("first", ["#F2DDA8", "#E4DFEA", "#56409A"])
-"""Who passes first, from sand (always the social driver) to violet (always the ego): apart for every eye."""
-NOBODY = "#EDEDED"
+"""Ego's share of first passages, from sand (0 %) to violet (100 %), distinct under colour vision deficiencies."""
+NO_PASSAGE = "#EDEDED"
 
 SMALLEST_PART = 0.3
 """Share of a cell's height that a number needs."""
@@ -33,10 +33,10 @@ SMALLEST_PART = 0.3
 
 @styled
 def behaviour_map(table: pd.DataFrame) -> Figure:
-    """Per setting two maps over the ego's horizon and the social driver's style: outcomes, and who goes first.
+    """Two maps per setting over the ego's horizon and the social driver's style: outcomes, and first passages.
 
-    On the left the parts of a cell are the shares of the outcomes; on the right the colour and the upper number
-    are the ego's share of first passages (nobody: there was none), the lower number is the mean smallest gap.
+    Left: the parts of a cell are the shares of the outcomes. Right: the colour and the upper number are the ego's share
+    of first passages (none: there was no passage), the lower number is the mean smallest gap.
     """
     settings = list(table["setting"].unique())
     horizons, styles = (sorted(table[axis].unique()) for axis in ("ego_horizon_s", "social_style_s"))
@@ -49,7 +49,7 @@ def behaviour_map(table: pd.DataFrame) -> Figure:
         _outcome_cells(left, rows, horizons, styles, font_size)
         _passage_cells(right, rows, horizons, styles, font_size)
         left.set_title(f"{setting_label(setting)}: outcomes [%]")
-        right.set_title("ego first [%], gap [m]", fontweight="normal")
+        right.set_title("ego passes first [%], gap [m]", fontweight="normal")
         for axis in (left, right):
             _frame(axis, horizons, styles)
     figure.supxlabel("prediction horizon of the ego [s]", fontsize=STYLE["axes.labelsize"])
@@ -81,10 +81,10 @@ def _passage_cells(
         .to_numpy()
         for measure in ("ego_passes_first_rate", "smallest_gap_m")
     )
-    axis.imshow(first, cmap=FIRST_COLORMAP.with_extremes(bad=NOBODY), vmin=0, vmax=1, aspect="auto", origin="lower")
+    axis.imshow(first, cmap=FIRST_COLORMAP.with_extremes(bad=NO_PASSAGE), vmin=0, vmax=1, aspect="auto", origin="lower")
     for (row, column), share in np.ndenumerate(first):
         color = "white" if share > 0.7 else INK
-        text, size = ("nobody", 0.85 * font_size) if np.isnan(share) else (f"{100 * share:.0f}", font_size)
+        text, size = ("none", 0.85 * font_size) if np.isnan(share) else (f"{100 * share:.0f}", font_size)
         _number(axis, column, row + 0.2, text, color, size)
         _number(axis, column, row - 0.22, f"{gap[row, column]:.2f} m", color, 0.85 * font_size)
 
@@ -105,14 +105,14 @@ def _frame(axis: Axes, horizons: list[float], styles: list[float]) -> None:
     axis.set(xlim=(-0.5, len(horizons) - 0.5), ylim=(-0.5, len(styles) - 0.5))
 
 
-MEASURES = {"ego_passes_first_rate": "passing first more often", "smallest_gap_m": "coming closer"}
-VERDICTS = {HOLDS: "holds in", EQUAL: "makes no difference in", FAILS: "does not hold in", UNKNOWN: "cannot be told in"}
+MEASURES = {"ego_passes_first_rate": "more first passages", "smallest_gap_m": "smaller gap"}
+VERDICTS = {HOLDS: "holds in", EQUAL: "makes no difference in", FAILS: "does not hold in", UNKNOWN: "is undecided in"}
 
 
 def reading(found: Sequence[Trend]) -> str:
-    """Claim 8 in one paragraph: where it holds and where it does not."""
+    """Claim 8 in one paragraph: the cases in which it holds and in which it does not."""
     parts = [_sentence(words, [f for f in found if f.measure == measure]) for measure, words in MEASURES.items()]
-    return "A shorter prediction horizon of the ego as more aggressive driving (claim 8). " + " ".join(parts)
+    return "Claim 8, that a shorter prediction horizon of the ego gives more aggressive driving. " + " ".join(parts)
 
 
 def _sentence(words: str, found: Sequence[Trend]) -> str:

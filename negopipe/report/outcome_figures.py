@@ -1,6 +1,6 @@
-"""How episodes end: who arrives when, against whom, and which tasks fail.
+"""Figures of outcomes: arrivals over time, shares of outcomes, success by style, outcomes by task.
 
-Like those of `negopipe.report.figures`: every function takes data and returns a matplotlib Figure 4.4 inches wide.
+Every function takes data and returns a matplotlib Figure 4.4 inches wide, like those of `negopipe.report.figures`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -52,7 +52,7 @@ def _arrival_curve(axis: Axes, time_s: pd.Series, color: str, is_adaptive: bool)
 
 @styled
 def outcomes(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
-    """How the episodes of every planner ended, one stacked bar each, one panel per setting."""
+    """Outcomes of every planner, one stacked bar each, one panel per setting."""
     settings, planners = settings_and_planners(table)
     figure = Figure((WIDTH_IN, 0.7 + (0.5 + 0.26 * len(planners)) * len(settings)), layout="constrained")
     axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
@@ -84,7 +84,7 @@ def _stacked_bars(axis: Axes, share: pd.DataFrame) -> None:
 
 @styled
 def success_by_style(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
-    """Share of successes of every planner against every style of the social driver, one panel per setting."""
+    """Success rate of every planner against every style of the social driver, one panel per setting."""
     settings, planners = settings_and_planners(table)
     figure = Figure((WIDTH_IN, 0.5 + (0.5 + 0.26 * len(planners)) * len(settings)), layout="constrained")
     axes = figure.subplots(len(settings), 1, sharex=True, squeeze=False)[:, 0]
@@ -94,7 +94,7 @@ def success_by_style(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
         rate = 100 * rows.pivot_table(index="planner", columns="style_horizon_s", values="is_success")
         _rates(axis, rate.reindex(index=planners))
         axis.set_yticks(range(len(planners)), [planner_label(planner, fixed_s) for planner in planners])
-        axis.set_title(f"{setting_label(setting)}: success [% of episodes]")
+        axis.set_title(f"{setting_label(setting)}: success rate [%]")
     axes[-1].set_xlabel("prediction horizon of the social driver [s], short = aggressive")
     return figure
 
@@ -114,11 +114,11 @@ def _rates(axis: Axes, rate: pd.DataFrame) -> None:
 def outcome_map(
     episodes: pd.DataFrame, title: str, unseen_m: Sequence[tuple[float, float]], whole: pd.DataFrame | None = None
 ) -> Figure:
-    """How episodes end, by the other driver's style (rows) and start distance (columns).
+    """Outcomes by the social driver's style (rows) and start distance (columns).
 
-    episodes: of one planner; columns social_start_distance_m, style_horizon_s, outcome
-    unseen_m: intervals of start distance, m, that training left out; marked below the columns
-    whole: episodes that the axes are made for, if not for these
+    episodes: rows of one planner with social_start_distance_m, style_horizon_s and outcome
+    unseen_m: intervals of start distance, m, that training left out, marked below the columns
+    whole: episodes that set the axes; None = `episodes`
     """
     whole = episodes if whole is None else whole
     distance = whole["social_start_distance_m"].to_numpy()
@@ -137,7 +137,7 @@ def outcome_map(
     axis.set(xlim=(edges[0] - BIN_M, edges[-1] + BIN_M), ylim=(len(styles) - 0.35, -0.5))
     axis.set_yticks(range(len(styles)), [f"{style:g} s" for style in styles])
     axis.set_xlabel("start distance of the social driver [m]")
-    axis.set_ylabel("its style [s]")
+    axis.set_ylabel("style [s]")
     axis.set_title(title)
     axis.tick_params(axis="y", length=0)
     outcome_legend(figure, whole["outcome"].unique())
@@ -147,7 +147,7 @@ def outcome_map(
 def training_maps(
     episodes: pd.DataFrame, unseen_m: Sequence[tuple[float, float]], n_maps: int
 ) -> Iterator[tuple[int, Figure]]:
-    """The training in `n_maps` equal parts: decisions taken before each, and how its episodes ended.
+    """Outcomes of `n_maps` equal parts of the training: decisions before each part, and its map.
 
     episodes: training_episodes.csv
     """
@@ -156,12 +156,12 @@ def training_maps(
     ends = np.linspace(0, episodes["decisions"].max(), n_maps + 1).round().astype(int)
     for start, end in pairwise(ends.tolist()):
         part = episodes[episodes["decisions"].between(start, end, inclusive="right")]
-        title = f"training, {start / 1e6:.2f} to {end / 1e6:.2f} million decisions"
+        title = f"Training, {start / 1e6:.2f} to {end / 1e6:.2f} million decisions"
         yield start, outcome_map(part, title, unseen_m, whole=episodes)
 
 
 def _outcome_bars(axis: Axes, row: int, episodes: pd.DataFrame, edges: np.ndarray) -> None:
-    """A stacked bar of shares for every column of start distances that has episodes, filled up from below."""
+    """A stacked bar of shares, from below, for every column of start distances that has episodes."""
     axis.axhline(row + 0.38, color=QUIET, linewidth=0.5)
     if episodes.empty:
         return

@@ -1,4 +1,4 @@
-"""report.html: one self-contained file that says in plain words what a run has shown."""
+"""report.html: one self-contained file with the results of a run."""
 
 import base64
 from collections import Counter
@@ -20,7 +20,7 @@ from negopipe.schema import Distinct, NonNegativeInt, PositiveInt, schema
 
 @schema
 class ReportConfig:
-    """What the report stage makes; `conf/report/html.yaml` says what each value means."""
+    """Options of the report stage; `conf/report/html.yaml` says what each value means."""
 
     figure_formats: Annotated[tuple[Literal["png", "svg", "pdf"], ...], Distinct]
     n_animations: NonNegativeInt
@@ -30,11 +30,11 @@ class ReportConfig:
 
 @dataclass(frozen=True)
 class Results:
-    """The numbers of metrics.json, settings in the order in which they are shown.
+    """The numbers of metrics.json, settings in the order of the page.
 
     evaluation: setting -> planner -> measures
     versus: setting -> planner other than the policy -> differences to it
-    regret: setting -> planner -> difference of the oracle to it; empty where none drove
+    regret: setting -> planner -> difference of the oracle to it; empty without an oracle
     """
 
     evaluation: Mapping[str, Mapping[str, Measures]]
@@ -44,7 +44,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Chapter:
-    """Tables under a heading with a note, such as how much was measured."""
+    """Tables under a heading with a note, such as the number of episodes."""
 
     title: str
     note: str
@@ -69,7 +69,11 @@ OF_SEVERAL: Mapping[Verdict, str] = {
     "undecided": "undecided",
     "not tested": "not tested",
 }
-"""What is said of claims with the same verdict."""
+"""Verdict -> its form after a number of claims."""
+
+
+LONG_WORDS = ("suspen-sions", "suspen-sion", "deceler-ation", "avoid-able", "colli-sions", "dead-lock", "deci-sions")
+"""Words in labels of columns, with a hyphen where a narrow column may break them."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +81,9 @@ class FigureItem:
     """A figure or an animation on the page.
 
     title: short name
-    reading: one or two sentences on how to read it
+    reading: caption, one or two sentences
     image: bytes of an SVG, PNG or GIF
-    still: bytes of a PNG that stands in for an animation where the reader wants no motion
+    still: bytes of a PNG that replaces an animation for readers who prefer no motion
     """
 
     title: str
@@ -90,7 +94,7 @@ class FigureItem:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a text (may be empty) and what is shown under it."""
+    """A heading, a text (may be empty) and the figures under it."""
 
     title: str
     text: str
@@ -99,7 +103,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Provenance:
-    """How the page was made: the command line, the seed or seeds, the config as YAML, versions by package name."""
+    """Origin of the page: the command line, the seed or seeds, the config as YAML, versions by package name."""
 
     command: str
     seed: str
@@ -117,8 +121,8 @@ def build_page(
 ) -> str:
     """The HTML text of a report.
 
-    verdicts: in plain words, each with the figures behind it
-    claims: of the paper; none leaves the part out
+    verdicts: headlines, each with its numbers
+    claims: the paper's claims; an empty sequence leaves the part out
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
@@ -127,7 +131,7 @@ def build_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"data_uri": data_uri, "figure": _figure}
+    environment.filters |= {"data_uri": data_uri, "figure": _figure, "hyphenated": _hyphenated}
     return environment.get_template("template.html.j2").render(
         name=name,
         headlines=verdicts,
@@ -140,23 +144,30 @@ def build_page(
 
 
 def _tally(claims: Sequence[Claim]) -> str:
-    """How many claims came to which verdict."""
+    """Number of claims per verdict."""
     counts = Counter(claim.verdict for claim in claims)
     told = [f"{counts[verdict]} {words}" for verdict, words in OF_SEVERAL.items() if counts[verdict]]
     return f"Of {len(claims)} claims: {', '.join(told)}."
 
 
 def _figure(finding: Finding) -> str:
-    """With its interval."""
+    """The number with its interval."""
     return f"{finding.value:.2f} ({finding.low:.2f} to {finding.high:.2f})"
 
 
+def _hyphenated(label: str) -> str:
+    """The label with soft hyphens in its long words, which narrow columns need."""
+    for word in LONG_WORDS:
+        label = label.replace(word.replace("-", ""), word.replace("-", "\N{SOFT HYPHEN}"))
+    return label
+
+
 def settings_in_order(evaluation: Mapping[str, Any], leading: str) -> list[str]:
-    """The leading setting first, the others as they come."""
+    """The leading setting first, the others in their order."""
     return sorted(evaluation, key=lambda setting: setting != leading)
 
 
 def data_uri(image: bytes) -> str:
-    """The image as a `data:` URI; its kind is read off its first bytes."""
+    """The image as a `data:` URI, its type by its first bytes."""
     kinds = {b"\x89PNG": "png", b"GIF8": "gif", b"<?xm": "svg+xml"}
     return f"data:image/{kinds[image[:4]]};base64,{base64.b64encode(image).decode('ascii')}"

@@ -1,4 +1,4 @@
-"""What goes with a page: how it was made, and its claims as a file."""
+"""Provenance of a page, and its claims as a file."""
 
 import json
 import platform
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from negopipe.tracking.store import TrackedRun
 
 PACKAGES = ("negopipe", "torch", "numpy", "pandas", "matplotlib", "hydra-core", "mlflow")
-"""Whose versions the page names."""
+"""Packages whose versions the page lists."""
 
 
 def provenance(seed: int, run: "TrackedRun") -> Provenance:
-    """How the run's results and its report were made. UserError where the run's config is missing."""
+    """Provenance of the run's results and its report. UserError if the run's config is missing."""
     config_path = run.folder / "config.yaml"
     if not config_path.is_file():
         raise UserError(f"{config_path}: no such file; every run writes it when it starts")
@@ -32,7 +32,7 @@ def versions() -> dict[str, str]:
 
 
 def write_claims(run: "TrackedRun", claims: Sequence[Claim]) -> None:
-    """claims.json"""
+    """Write claims.json and log it as an artifact."""
     path = run.folder / "claims.json"
     write_whole(path, claims_text(claims).encode())
     run.log_artifact(path)

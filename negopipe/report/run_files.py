@@ -1,9 +1,9 @@
-"""What the report reads of a run folder, in the order in which it shows it."""
+"""Files of a run folder that the report reads, in the order of the page."""
 
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,12 +11,8 @@ import pandas as pd
 from negopipe.errors import UserError
 from negopipe.evaluation.trace import ADAPTIVE, Trace
 
-if TYPE_CHECKING:
-    pass
-
-
 RESULTS = ("evaluation", "versus_adaptive", "regret")
-"""Parts of metrics.json that the page shows."""
+"""Parts of metrics.json on the page."""
 
 
 def read_metrics(folder: Path) -> dict[str, Any]:
@@ -28,18 +24,18 @@ def read_metrics(folder: Path) -> dict[str, Any]:
 
 
 def pick(by_planner: Mapping[str, Any], planners: Sequence[str]) -> dict[str, Any]:
-    """In the order of the planners; JSON has sorted them."""
+    """The entries in the order of the planners, which JSON has sorted."""
     return {planner: by_planner[planner] for planner in planners if planner in by_planner}
 
 
 def in_order(table: pd.DataFrame, settings: list[str]) -> pd.DataFrame:
-    """The rows of the leading setting first, planners as they come."""
+    """Rows in the order of the settings, planners in their order."""
     return pd.concat([table[table["setting"] == setting] for setting in settings], ignore_index=True)
 
 
 def by_setting(traces: list[Trace], settings: list[str], planners: Sequence[str]) -> dict[str, list[Trace]]:
-    """Traces of each setting; `planners` must be among them."""
-    grouped = {setting: [trace for trace in traces if trace.family == setting] for setting in settings}
+    """Traces of each setting; UserError if one of `planners` is missing."""
+    grouped = {setting: [trace for trace in traces if trace.setting == setting] for setting in settings}
     for group in grouped.values():
         named(group, planners)
         _check_same_tasks(group)
@@ -47,7 +43,7 @@ def by_setting(traces: list[Trace], settings: list[str], planners: Sequence[str]
 
 
 def _check_same_tasks(group: list[Trace]) -> None:
-    """One episode number must be one task for all planners, as far as they drove: they are shown side by side."""
+    """One episode number is one task for all planners that drove it, since they are shown side by side."""
     first = group[0]
     for trace in group[1:]:
         own, other = (each.first(min(len(trace.n_steps), len(first.n_steps))) for each in (trace, first))
@@ -56,7 +52,7 @@ def _check_same_tasks(group: list[Trace]) -> None:
         )
         if not is_same:
             planners = f"{first.planner} and {trace.planner}"
-            raise UserError(f"traces.npz: {planners} drove different tasks in {first.family}; evaluate them anew")
+            raise UserError(f"traces.npz: {planners} drove different tasks in {first.setting}; evaluate them anew")
 
 
 def adaptive_of(group: list[Trace]) -> Trace:
@@ -68,5 +64,5 @@ def named(group: list[Trace], planners: Sequence[str]) -> list[Trace]:
     for planner in planners:
         if planner not in by_name:
             known = ", ".join(by_name) or "none"
-            raise UserError(f"the report shows planner {planner}, but traces.npz holds only: {known}")
+            raise UserError(f"report.side_by_side must name planners of traces.npz ({known}), got {planner}")
     return [by_name[planner] for planner in planners]

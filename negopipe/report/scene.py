@@ -1,4 +1,4 @@
-"""The street and its vehicles, as films draw them."""
+"""The street and its vehicles as animations draw them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ GROUND, ROAD, PARKED, SOCIAL = "#DDE3DC", "#F7F7F5", "#B9BDC2", "#4A4A4A"
 
 @dataclass(frozen=True)
 class Scene:
-    """What stands still, in the world frame, m and rad.
+    """Static parts of an animation, in the world frame, m and rad.
 
     parked_cars: [P, 5] x, y, yaw, length, width
     line_m: [K, 4] sigma (increasing), x, y and heading of the road's reference line

@@ -1,4 +1,4 @@
-"""The sections of the report: which figures and films stand in each."""
+"""The sections of the report with their figures and animations."""
 
 import logging
 from collections.abc import Mapping
@@ -44,15 +44,15 @@ log = logging.getLogger("negopipe")
 
 DRAWN_OF_TRAINING = ("decisions", "is_success", "is_collision", "social_start_distance_m", "style_horizon_s")
 N_TRAINING_MAPS, SLIDE_S = 10, 0.8
-"""Parts that the training is shown in, and how long each is on screen."""
+"""Parts into which the training is divided, and the time that each is on screen."""
 
 
 class FigureWriter:
-    """Saves what is drawn into the run folder and hands it on as an item of the page."""
+    """Writer of figures and animations into the run folder, which returns them as items of the page."""
 
     def __init__(self, folder: Path, formats: Sequence[str] = ()) -> None:
         self.folder, self.formats = folder, formats
-        shutil.rmtree(folder, ignore_errors=True)  # what an earlier report left there with other options
+        shutil.rmtree(folder, ignore_errors=True)  # files of an earlier report with other options
         folder.mkdir()
 
     def figure(self, name: str, figure: Figure, title: str, reading: str) -> FigureItem:
@@ -74,7 +74,7 @@ def planners_section(
     unseen: Mapping[str, Sequence[tuple[float, float]]],
     fixed_s: FixedHorizons,
 ) -> Section:
-    """Two settings share a figure at most: three would be too small to read on a phone."""
+    """Figures of all planners; at most two settings share a figure, so that it is legible on a phone."""
     settings = list(table["setting"].unique())
     items = []
     for pair in (settings[i : i + 2] for i in range(0, len(settings), 2)):
@@ -98,7 +98,7 @@ def planners_section(
 
 
 def unseen_distances(config: "RunConfig") -> dict[str, tuple[tuple[float, float], ...]]:
-    """Start distances that the last stage of training left out, by the name of the family."""
+    """Family -> start distances that the last stage of training left out."""
     families = config.curriculum.stages[-1].families
     return {name: tuple((low, high) for low, high in family.gaps_m) for name, family in families.items()}
 
@@ -119,7 +119,7 @@ def negotiations_section(
 
 
 def _typical_of_all(group: list[Trace]) -> int:
-    """The policy's median episode among those that every planner drove."""
+    """The policy's median episode among those driven by every planner."""
     return animation.choose_episodes(adaptive_of(group).first(min(len(trace.n_steps) for trace in group)), 1)[0]
 
 
@@ -131,7 +131,7 @@ def films_section(
     policy_traces: Mapping[str, Mapping[int, PolicyTrace]],
     fixed_s: FixedHorizons,
 ) -> Section:
-    """policy_traces: of the policy's episodes that are shown alone, by setting and episode."""
+    """policy_traces: setting -> episode -> inputs and outputs of the policy, of the episodes that are shown alone."""
     items = []
     for setting, group in traces.items():
         adaptive = adaptive_of(group)
@@ -142,15 +142,15 @@ def films_section(
         for name, episode in filmed_alone(report, adaptive).items():
             policy_trace = policy_traces[setting][episode]
             items.append(_film(writer, name, [adaptive], episode, scene, report.animation_fps, fixed_s, policy_trace))
-    return Section("Watch it", WATCH, items)
+    return Section("Animations", WATCH, items)
 
 
 def filmed_alone(report: ReportConfig, adaptive: Trace) -> dict[str, int]:
-    """Name of the film -> episode of the adaptive planner: typical ones and the worst; none twice."""
+    """Name of the animation -> episode of the adaptive planner: typical ones and the worst, none twice."""
     typical = animation.choose_episodes(adaptive, report.n_animations)
-    named = {f"{adaptive.family}_{ADAPTIVE}_{rank}": episode for rank, episode in enumerate(typical, start=1)}
+    named = {f"{adaptive.setting}_{ADAPTIVE}_{rank}": episode for rank, episode in enumerate(typical, start=1)}
     worst = animation.worst_episode(adaptive)
-    return named if worst in typical or not typical else named | {f"{adaptive.family}_{ADAPTIVE}_worst": worst}
+    return named if worst in typical or not typical else named | {f"{adaptive.setting}_{ADAPTIVE}_worst": worst}
 
 
 def _film(
@@ -169,10 +169,10 @@ def _film(
     still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, fixed_s, policy_trace)
     title, reading = caption(
         "film" if policy_trace is None else "film_alone",
-        setting=setting_label(trace.family),
+        setting=setting_label(trace.setting),
         episode=episode,
         planners=", ".join(planner_label(shown.planner, fixed_s) for shown in traces),
-        which="the worst" if name.endswith("_worst") else "a typical one",
+        which="lowest return" if name.endswith("_worst") else "typical",
         style_s=trace.style_horizon_s[episode, NEAREST],
     )
     return writer.animation(name, gif, still, title, reading)
@@ -203,7 +203,7 @@ def behaviour_section(
 def training_section(
     drawings: FigureWriter, films: FigureWriter, run: "TrackedRun", unseen_m: Sequence[tuple[float, float]]
 ) -> Section:
-    """The store is given the maps, too, each at the step at which its part of the training begins."""
+    """Learning curves, and maps of outcomes, which are also logged at the steps at which their parts begin."""
     if not (run.folder / HISTORY_NAME).is_file():
         return Section("Training", NOT_TRAINED, [])
     table = read_csv(run.folder / HISTORY_NAME, HISTORY, ("decisions", "stage"))

@@ -74,7 +74,7 @@ STYLE: Any = {
 
 
 styled = matplotlib.rc_context(STYLE)
-"""Decorator (and context) in which everything is drawn and saved."""
+"""Decorator and context in which every figure is drawn and saved."""
 
 
 def horizon_color(horizon_s: float) -> str:
@@ -83,8 +83,8 @@ def horizon_color(horizon_s: float) -> str:
 
 
 def planner_colors(planners: Sequence[str], fixed_s: FixedHorizons) -> dict[str, str]:
-    """Colour of each planner, as hex, the same whoever is beside it; of one that is not known here, quiet ones in
-    their order.
+    """Colour of each planner, as hex, independent of the other planners; unknown planners get the remaining muted
+    colours in their order.
     """
     known = {ADAPTIVE: ADAPTIVE_COLOR, **BASELINE_COLORS}
     known |= {name: horizon_color(horizon_s) for name, horizon_s in fixed_s.items()}

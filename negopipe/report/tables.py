@@ -1,9 +1,11 @@
-"""The page's tables of numbers: a row per planner, so that any number of planners fits a phone's width."""
+"""The page's tables of numbers: a row per planner, a column per measure, so that many planners fit a phone's width."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from negopipe.evaluation import measures
+from negopipe.evaluation.measure import Measure
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.report.headlines import Difference, Measures, Versus
 from negopipe.report.labels import planner_label
@@ -21,7 +23,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """What the row is about, its colour in the figures as hex, a cell per column."""
+    """Label of the row, its colour in the figures as hex, a cell per column."""
 
     label: str
     color: str
@@ -30,6 +32,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
+    """Caption, labels of the columns, rows."""
+
     caption: str
     columns: Sequence[str]
     rows: Sequence[Row]
@@ -37,8 +41,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Column:
-    """label: with the unit; key: of the measure; bounds: keys of its interval; factor, decimals: how it is printed;
-    best: which end is good; is_signed: a difference, printed with its sign."""
+    """One column of a table.
+
+    label: with the unit
+    key: of the number; `a.b` is the entry b of the entry a
+    factor, decimals: how the number is printed
+    best: which end is good
+    bounds: keys of its interval, if it has one
+    is_signed: it is a difference, printed with its sign
+    """
 
     label: str
     key: str
@@ -49,74 +60,66 @@ class Column:
     is_signed: bool = False
 
 
-ENDED = (
-    Column("success [%]", "success_rate", 100, 1, "max", ("success_low", "success_high")),
-    Column("collision [%]", "collision_rate", 100, 1, "min", ("collision_low", "collision_high")),
-    Column("timeout [%]", "timeout_rate", 100),
-    Column("of these dead-lock [%]", "deadlock_rate", 100),
-    Column("reward (Eq. 3)", "reward", 1, 2, "max"),
-)
-AMONG_OTHERS = Column("crash among others [%]", "social_collision_rate", 100)
-"""... where there was one."""
-DROVE = (
-    Column("time of arrivals [s]", "driving_time_s"),
-    Column("the other's time [s]", "social_time_s"),
-    Column("time at rest [s]", "suspend_time_s"),
-    Column("suspen-sions", "suspend_count", 1, 2),
-    Column("passes first [%]", "ego_first_rate", 100),
-)
-CAME_CLOSE = (
-    Column("gap [m]", "smallest_gap_m", 1, 2),
-    Column("TTC [s]", "smallest_ttc_s"),
-    Column("braking [m/s²]", "largest_decel_mps2"),
-    Column("jerk [m/s³]", "largest_jerk_mps3"),
-    Column("with-out a plan [count]", "full_braking_count"),
-    Column("avoid-able crashes [%]", "avoidable_rate", 100),
-)
-COMPARED = tuple(
-    Column(label, f"{measure}.value", factor, decimals, None, (f"{measure}.low", f"{measure}.high"), is_signed=True)
-    for label, measure, factor, decimals in (
-        ("success [points]", "success", 100, 1),
-        ("time where both arrive [s]", "driving_time_s", 1, 2),
-        ("reward", "reward", 1, 2),
-    )
-)
-LACKED = (Column("regret", "value", 1, 2, "min", ("low", "high")), Column("tasks", "n_tasks", 1, 0))
+CAPTIONS = {
+    "outcomes": "Outcomes (timeouts include deadlocks)",
+    "driving": "Driving",
+    "safety": "Safety: means of the extremes of each episode",
+}
+"""Name of a table of measures -> its caption, in the order of the page."""
+BEST: dict[str | None, Literal["max", "min"] | None] = {"higher": "max", "lower": "min", None: None}
+REGRET = (Column("regret", "value", 1, 2, "min", ("low", "high")), Column("tasks", "n_tasks", 1, 0))
+
+
+def column_of(measure: Measure, has_interval: bool) -> Column:
+    """The column of a measure in a table of measures."""
+    bounds = measure.bounds if has_interval else None
+    return Column(measure.heading, measure.name, measure.factor, measure.decimals, BEST[measure.better], bounds)
+
+
+def difference_of(measure: Measure) -> Column:
+    """The column of a measure in the table of paired differences; a difference of percentages is in points."""
+    unit = "points" if measure.unit == "%" else measure.unit
+    key, bounds = f"{measure.stem}.value", (f"{measure.stem}.low", f"{measure.stem}.high")
+    label = replace(measure, unit=unit).heading
+    return Column(label, key, measure.factor, measure.decimals, None, bounds, is_signed=True)
 
 
 def tables(
-    measures: Mapping[str, Measures],
+    values: Mapping[str, Measures],
     versus: Mapping[str, Versus],
     regret: Mapping[str, Difference],
     fixed_s: FixedHorizons,
 ) -> list[Table]:
-    """Of one setting.
+    """Tables of one setting.
 
-    measures: planner -> measures; versus: planner other than the policy -> differences to it
+    values: planner -> measures; versus: planner other than the policy -> differences to it
     regret: planner -> difference of the oracle to it
     """
-    has_crashed = any(each.get("social_collision_rate") for each in measures.values())
-    tables_of_all = {
-        "How the episodes ended": (*ENDED, AMONG_OTHERS) if has_crashed else ENDED,
-        "How the ego drove": DROVE,
-        "Closest and hardest of each episode, and decisions without a feasible plan (full braking): means": CAME_CLOSE,
-    }
-    label = {planner: planner_label(planner, fixed_s) for planner in measures}
-    colors = planner_colors(list(measures), fixed_s)
-    drawn = [table(caption, columns, measures, label, colors) for caption, columns in tables_of_all.items()]
+    label = {planner: planner_label(planner, fixed_s) for planner in values}
+    colors = planner_colors(list(values), fixed_s)
+    drawn = [table(CAPTIONS[name], _columns(name, values), values, label, colors) for name in CAPTIONS]
     if versus:
-        drawn.append(table("Difference from the adaptive planner, on the same tasks", COMPARED, versus, label, colors))
+        caption = "Differences from the adaptive planner on the same tasks (driving time: where both arrive)"
+        columns = [difference_of(measure) for measure in measures.MEASURES if measure.compared is not None]
+        drawn.append(table(caption, columns, versus, label, colors))
     if regret:
-        drawn.append(table("What the reward lacks to the oracle's, on its tasks", LACKED, regret, label, colors))
+        drawn.append(table("Regret to the oracle on its tasks", REGRET, regret, label, colors))
     return drawn
 
 
-def n_episodes(measures: Mapping[str, Measures], fixed_s: FixedHorizons) -> str:
-    """`500 episodes each`, with the planners that drove fewer of them."""
-    most = max(each["n_episodes"] for each in measures.values())
+def _columns(name: str, values: Mapping[str, Measures]) -> list[Column]:
+    """Columns of the table of that name, without rare measures that are 0 for all planners."""
+    own = [measure for measure in measures.MEASURES if measure.table == name]
+    shown = [m for m in own if not m.is_rare or any(each.get(m.name) for each in values.values())]
+    return [column_of(m, has_interval=any(m.bounds[0] in each for each in values.values())) for m in shown]
+
+
+def n_episodes(values: Mapping[str, Measures], fixed_s: FixedHorizons) -> str:
+    """`500 episodes each`, with the planners that drove only the first of them."""
+    most = max(each["n_episodes"] for each in values.values())
     fewer = [
         f"{planner_label(planner, fixed_s)} {each['n_episodes']}"
-        for planner, each in measures.items()
+        for planner, each in values.items()
         if each["n_episodes"] < most
     ]
     return f"{most} episodes each" + (f" ({', '.join(fewer)}, the first ones)" if fewer else "")
@@ -129,7 +132,7 @@ def table(
     labels: Mapping[str, str],
     colors: Mapping[str, str],
 ) -> Table:
-    """A row per key of `values`, which holds what the columns name; labels and colors are of the same keys."""
+    """A row per key of `values`, whose entries hold the numbers of the columns; labels and colors have these keys."""
     by_column = [_cells(column, list(values.values())) for column in columns]
     rows = [Row(labels[key], colors[key], [cells[i] for cells in by_column]) for i, key in enumerate(values)]
     return Table(caption, [column.label for column in columns], rows)
@@ -144,6 +147,7 @@ def _cells(column: Column, rows: Sequence[Mapping[str, Any]]) -> list[Cell]:
 
 
 def _value(values: Mapping[str, Any], key: str) -> float | None:
+    """The number under a key."""
     found: Any = values
     for part in key.split("."):
         found = found[part]
@@ -167,7 +171,7 @@ def _interval(column: Column, values: Mapping[str, Any]) -> str:
 
 
 def _best(column: Column, values: Sequence[float | None]) -> list[bool]:
-    """Which values are the best of their column as printed; none if all are the same."""
+    """Values that are the best of their column as printed; none if all are the same."""
     texts = [_number(column, value) for value in values]
     known = [value for value in values if value is not None]
     if column.best is None or not known or len(set(texts)) == 1:

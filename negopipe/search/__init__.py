@@ -1,1 +1,1 @@
-"""The search for the best sequence of horizons with full knowledge of a task: the oracle and its table."""
+"""The oracle: a search for the best sequence of horizons with full knowledge of a task, and its table."""

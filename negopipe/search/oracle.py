@@ -1,13 +1,13 @@
-"""The oracle: for each task the best sequence of prediction horizons that a search finds, knowing everything.
+"""The oracle: the best sequence of prediction horizons of each task that a search with full knowledge finds.
 
-An episode is a function of its task and of the ego's horizons, so a search may play it with the true social drivers
-as often as it likes. What it finds is the limit that a planner's regret is measured against. The search begins with
-all sequences of up to two switches at a grid of times, since committing early decides and "wait, then push" is hard
-to come upon by small changes. It climbs from the best of them: every round it changes the best sequence of each task
-at random and keeps the best. That proves no optimum; what more of it still gains is measured instead
+An episode is a function of its task and of the ego's horizons, so a search can roll it out with the true social
+drivers any number of times. Its result is the reference of a planner's regret. The search starts with all sequences of
+up to two switches at a grid of times, since early commitment is decisive and "wait, then push" is hard to reach by
+small changes. It continues by hill climbing from the best of them: every round changes the best sequence of each task
+at random and keeps the best. The result is not proven optimal; the gain of a doubled budget is measured instead
 (`negopipe.stages.oracle`).
 
-Axes: N tasks, C candidates per task and round, R sequences that are played at once, T decisions.
+Axes: N tasks, C candidates per task and round, R sequences that are rolled out together, T decisions.
 """
 
 from dataclasses import dataclass
@@ -18,29 +18,29 @@ import torch
 from pydantic import Field
 from torch import Generator, Tensor
 
-from negopipe.game.game import Game
+from negopipe.game.game import Game, joint_horizon
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, PositiveInt, schema
-from negopipe.simulation.state import EGO, Task, World
+from negopipe.simulation.state import Task, World
 from negopipe.tensors.tree import map_tensors, tree_where
 
 SHIFT_CHANCE = 0.3
-"""How often a candidate has its later decisions moved in time, beside the pieces that are written over."""
+"""Probability that a candidate has its later decisions moved in time, beside the pieces that are overwritten."""
 MAX_SHIFT_STEPS = 3
 SWITCH_STEPS = range(4, 48, 4)
-"""Steps at which the sequences of one switch have it: every 0.8 s until both could have passed."""
+"""Steps of the switch in sequences with one switch: every 0.8 s until both vehicles could have passed."""
 SWITCH_PAIRS = tuple(combinations(range(8, 48, 8), 2))
-"""... and those of two: every 1.6 s."""
+"""Steps of the switches in sequences with two: every 1.6 s."""
 SECOND_PIECE_CHANCE = 0.5
 BORROWED_CHANCE = 0.3
-"""How often a candidate is made of another task's best sequence: what helps in one task often helps in its like."""
+"""Probability that a candidate starts from the best sequence of a similar task, which often helps."""
 N_ALIKE = 8
-"""Tasks that a task borrows from: those that are most like it."""
+"""Number of most similar tasks that a task borrows sequences from."""
 SAME_REWARD = 1e-6
 NEVER_S = 100.0
 STYLE_M_PER_S = 10.0
-"""What counts as much as a metre of start distance when tasks are compared is a tenth of a second of a style: tasks of
-one style are alike."""
+"""Weight of a style against start distances in the similarity of tasks: 0.1 s of a style counts as 1 m, so that tasks
+of one style are similar."""
 
 
 @schema
@@ -55,14 +55,14 @@ class OracleConfig:
 
 @dataclass(frozen=True)
 class Sequences:
-    """Sequences of the ego's horizons and what they led to; the leading axis is R, or N for one per task.
+    """Sequences of the ego's horizons and their results; the leading axis is R, or N for one per task.
 
-    actions: [R, T] int64, indices into the horizons; those after the episode's end mean nothing
+    actions: [R, T] int64, indices into the horizons; those after the end of the episode have no meaning
     n_steps: [R] int64, decisions until the episode ended
     reward: [R] float64, undiscounted return
     score: [R] float64, what the search maximises: the return and, for a success, less than one step's reward more
-        for the share of the last step that was left when the last vehicle arrived. It orders as the return does.
-        -inf: given up, nothing else is known
+        for the share of the last step that was left when the last vehicle arrived. Its order is that of the return.
+        -inf: the rollout was cut off, nothing else is known
     """
 
     actions: Tensor
@@ -72,10 +72,10 @@ class Sequences:
 
 
 class Rollouts:
-    """Plays sequences of horizons in the true world.
+    """Rollouts of sequences of horizons in the true world.
 
     horizons_s: the ego's choices, s
-    reward_config: what an episode pays; giving up is exact for a step that pays nothing or less
+    reward_config: reward of an episode; cutting off is exact if the reward of a step is not positive
     """
 
     def __init__(self, game: Game, horizons_s: tuple[float, ...], reward_config: RewardConfig) -> None:
@@ -84,18 +84,17 @@ class Rollouts:
         self._horizons = torch.tensor(horizons_s, device=game.planner.times.device)
 
     def play(self, tasks: Task, actions: Tensor, at_least: Tensor) -> Sequences:
-        """What `actions` [R, T] lead to in `tasks` (R of them).
+        """Results of `actions` [R, T] in `tasks` (R of them).
 
-        A rollout that can no longer score `at_least` [R] float64 is given up. Worlds that are over are left out.
+        A rollout that can no longer score `at_least` [R] float64 is cut off. Finished worlds are left out.
         """
         paid = torch.zeros_like(at_least)
         score = torch.full_like(at_least, -torch.inf)
         n_steps = torch.zeros_like(actions[:, 0])
         world, rows = self.game.simulator.reset(tasks), torch.arange(len(tasks), device=actions.device)
         while len(rows) > 0:
-            horizon = world.style_horizon.clone()
-            horizon[:, EGO] = self._horizons[actions[rows, world.step]]
-            world, events = self.game.drive(world, horizon)
+            chosen = self._horizons[actions[rows, world.step]]
+            world, events = self.game.drive(world, joint_horizon(world, chosen))
             paid[rows] += reward(self.reward_config, events.is_collision, events.is_success).double()
             n_steps[rows] = world.step
             is_over = events.is_terminated | events.is_truncated
@@ -109,14 +108,14 @@ class Rollouts:
         return Sequences(actions, n_steps, paid, score)
 
     def _steps_needed(self, world: World) -> Tensor:
-        """[R] float64: no fewer steps can bring the last vehicle to its target, at the highest speed allowed."""
+        """[R] float64: lower bound on the steps until the last vehicle arrives, at the highest allowed speed."""
         simulator, limits = self.game.simulator, self.game.planner.config.limits
         s = simulator.road.progress(world.vehicles.position, world.task.direction)
         left = torch.where(world.has_reached, 0.0, simulator.road.target_s_m - s).amax(1).clamp(min=0)
         return left.double() / (limits.speed_max_mps * simulator.scenario.dt_s)
 
     def _step_left(self, world: World) -> Tensor:
-        """[R] float64 in [0, 1): share of the last step that was left when the last vehicle was at its target."""
+        """[R] float64 in [0, 1): share of the last step that was left when the last vehicle reached its target."""
         vehicles, simulator = world.vehicles, self.game.simulator
         beyond = simulator.road.progress(vehicles.position, world.task.direction) - simulator.road.target_s_m
         driven = (vehicles.speed * simulator.scenario.dt_s).clamp(min=1e-3)
@@ -124,13 +123,13 @@ class Rollouts:
 
 
 def best_simple(rollouts: Rollouts, tasks: Task, may_switch_twice: bool = True) -> Sequences:
-    """[N]: the best of each task's sequences of no switch, one or two, where the search starts."""
+    """[N]: the best sequence of each task with at most two switches, the start of the search."""
     fixed = torch.arange(rollouts.n_actions, device=tasks.family.device)
     step = torch.arange(rollouts.n_steps, device=fixed.device)
     best = _best(rollouts, tasks, fixed[:, None].expand(len(tasks), -1, len(step)), None)
     for steps in (*((at,) for at in SWITCH_STEPS), *(SWITCH_PAIRS if may_switch_twice else ())):
         parts = torch.cartesian_prod(*[fixed] * (1 + len(steps)))  # [R, parts]
-        parts = parts[(parts.diff(dim=1) != 0).all(1)]  # else one with fewer switches, which has been played
+        parts = parts[(parts.diff(dim=1) != 0).all(1)]  # equal neighbours are a sequence with fewer switches
         part = sum((step >= at).long() for at in steps)
         found = _best(rollouts, tasks, parts[:, part].expand(len(tasks), -1, -1), best.score)
         best = tree_where(found.score >= best.score, found, best)
@@ -140,7 +139,7 @@ def best_simple(rollouts: Rollouts, tasks: Task, may_switch_twice: bool = True) 
 def improve(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, random: Generator) -> Sequences:
     """One round: [N] the best of each task's `population` candidates and of `best` [N], never worse than that.
 
-    Of equally good ones the candidate stays, so that the search may drift where decisions have no effect.
+    Among equally good ones the candidate is kept, so that the search can drift where decisions have no effect.
     """
     tried = candidates(best, alike(tasks), rollouts.n_actions, population, random)
     found = _best(rollouts, tasks, tried, best.score)
@@ -148,10 +147,10 @@ def improve(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, r
 
 
 def simplify(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, random: Generator) -> Sequences:
-    """One round: [N] sequences of no less reward than `best` [N] that switch less often, where some are come upon.
+    """One round: [N] sequences of no less reward than `best` [N] with fewer switches, where some are found.
 
-    A search leaves switches behind that have no effect. In each of a task's `population` candidates one piece between
-    two switches is driven with the horizon of the piece before or after it.
+    A search leaves switches that have no effect. In each of a task's `population` candidates, one piece between two
+    switches gets the horizon of the piece before or after it.
     """
     played = _play(rollouts, tasks, _merged(best, population, random), best.reward - SAME_REWARD)
     is_as_good = played.reward >= (best.reward - SAME_REWARD).repeat_interleave(population)
@@ -161,14 +160,14 @@ def simplify(rollouts: Rollouts, tasks: Task, best: Sequences, population: int, 
 
 
 def n_switches(sequences: Sequences) -> Tensor:
-    """[R] int64: how often the horizon changes before the episode ends."""
+    """[R] int64: number of changes of the horizon before the episode ends."""
     is_change = sequences.actions.diff(dim=1) != 0
     step = torch.arange(1, 1 + is_change.shape[1], device=is_change.device)
     return (is_change & (step < sequences.n_steps[:, None])).sum(1)
 
 
 def _best(rollouts: Rollouts, tasks: Task, actions: Tensor, at_least: Tensor | None) -> Sequences:
-    """[N]: the best of each task's `actions` [N, C, T]; those below `at_least` [N] need not be played to the end."""
+    """[N]: the best of each task's `actions` [N, C, T]; those below `at_least` [N] may be cut off."""
     n_tasks, n_each, _ = actions.shape
     if at_least is None:
         at_least = torch.full((n_tasks,), -torch.inf, dtype=torch.float64, device=actions.device)
@@ -179,13 +178,13 @@ def _best(rollouts: Rollouts, tasks: Task, actions: Tensor, at_least: Tensor | N
 
 
 def _play(rollouts: Rollouts, tasks: Task, actions: Tensor, at_least: Tensor) -> Sequences:
-    """[N * C]: each task's `actions` [N, C, T]; those below `at_least` [N] need not be played to the end."""
+    """[N * C]: each task's `actions` [N, C, T]; those below `at_least` [N] may be cut off."""
     each = map_tensors(lambda field: field.repeat_interleave(actions.shape[1], 0), (tasks, at_least))
     return rollouts.play(each[0], actions.flatten(0, 1), each[1])
 
 
 def alike(tasks: Task) -> Tensor:
-    """[N, K] int64: for each task those among the others that are most like it, itself where there is no other."""
+    """[N, K] int64: the most similar other tasks of each task; the task itself if there is no other."""
     styles = torch.cat([tasks.style_horizon, tasks.next_style_horizon, tasks.switch_time, tasks.patience], 1)
     styles = styles.nan_to_num(nan=-1.0, posinf=NEVER_S)
     features = torch.cat([tasks.start_distance, STYLE_M_PER_S * styles], 1).double()
@@ -195,12 +194,12 @@ def alike(tasks: Task) -> Tensor:
 
 
 def candidates(best: Sequences, likes: Tensor, n_actions: int, population: int, random: Generator) -> Tensor:
-    """[N, C, T] int64: `best` [N] changed at random, in the decisions that count.
+    """[N, C, T] int64: `best` [N] changed at random in the decisions before the end of the episode.
 
-    likes: [N, K] int64, tasks whose sequences are worth a try
+    likes: [N, K] int64, similar tasks, whose sequences may be borrowed
 
-    One or two pieces are written over with one horizon each: that moves, adds and removes switches. Now and then all
-    decisions from some step on come a little earlier or later, or another task's sequence is what is changed.
+    One or two pieces are overwritten with one horizon each, which moves, adds and removes switches. Some candidates
+    have all decisions from a step on moved in time; some are changes of a similar task's sequence.
     """
     source = _sources(likes, population, random)
     n_steps, actions = best.n_steps[source][..., None], best.actions[source]
@@ -211,7 +210,7 @@ def candidates(best: Sequences, likes: Tensor, n_actions: int, population: int, 
 
 
 def _sources(likes: Tensor, population: int, random: Generator) -> Tensor:
-    """[N, C] int64: the task whose sequence a candidate is made of."""
+    """[N, C] int64: the task whose sequence a candidate changes."""
     n_tasks, n_likes = likes.shape
     own = torch.arange(n_tasks, device=likes.device)[:, None].expand(-1, population)
     choice = torch.randint(n_likes, own.shape, generator=random, device=own.device)
@@ -229,7 +228,7 @@ def _write_over(actions: Tensor, n_steps: Tensor, n_actions: int, random: Genera
 
 
 def _merged(best: Sequences, population: int, random: Generator) -> Tensor:
-    """[N, C, T] int64: `best` [N] with one piece driven like a neighbour, that of a random decision that counts."""
+    """[N, C, T] int64: `best` [N] with the piece of a random decision merged into a neighbouring piece."""
     actions = best.actions[:, None].expand(-1, population, -1)
     piece = torch.nn.functional.pad((actions.diff(dim=2) != 0).long().cumsum(2), (1, 0))
     at = (_uniform(actions, random) * best.n_steps[:, None, None]).long()
@@ -241,7 +240,7 @@ def _merged(best: Sequences, population: int, random: Generator) -> Tensor:
 
 
 def _shift(actions: Tensor, n_steps: Tensor, random: Generator) -> Tensor:
-    """The decisions from a random step on come up to `MAX_SHIFT_STEPS` steps earlier or later."""
+    """Decisions from a random step on, moved by up to `MAX_SHIFT_STEPS` steps."""
     by = 1 + (_uniform(actions, random) * MAX_SHIFT_STEPS).long()
     by = torch.where(_uniform(actions, random) < 0.5, by, -by)
     first = _uniform(actions, random) * n_steps

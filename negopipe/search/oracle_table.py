@@ -1,4 +1,4 @@
-"""What a search with full knowledge found earlier, driven as the planner `oracle` beside the others."""
+"""The sequences of an oracle.csv, driven as the planner `oracle` beside the other planners."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
 
 SAME_RETURN = 1e-3
-"""Returns this close are of the same drive; steps cost more."""
+"""Largest difference of returns of the same drive; one step costs more."""
 SAME_START_M = 1e-3
-DOES_NOT_FIT = "what comes with negopipe was found for another road, planner, reward or other tasks"
-"""Said where such a table is left out."""
+DOES_NOT_FIT = "the table that comes with negopipe is for another road, planner, reward or other tasks"
+"""Log line where such a table is left out."""
 START = ("ego_start_distance_m", "social_start_distance_m", "style_horizon_s")
 COLUMNS = ("setting", "episode", "horizons", "reward", *START)
-"""What it takes to drive it."""
+"""Columns that driving needs."""
 ORACLE_TABLE = CsvKind(
     "the stage `oracle`",
     {
@@ -51,7 +51,7 @@ ORACLE_TABLE = CsvKind(
 
 @dataclass(frozen=True)
 class OracleTable:
-    """rows: those of an oracle.csv that hold horizons; comes_along: it is the one that comes with negopipe"""
+    """rows: rows of an oracle.csv with horizons; comes_along: the table is the one that comes with negopipe"""
 
     rows: pd.DataFrame
     comes_along: bool
@@ -78,10 +78,10 @@ def read_oracle(reference: str) -> OracleTable:
 
 
 def drive_oracle(config: "RunConfig", game: Game, tasks: Task, oracle: OracleTable, setting: str) -> Trace | None:
-    """The drives of what was found for the first of a setting's tasks; what they return shows whether it was.
+    """The record of the table's sequences on the first tasks of a setting; their returns must equal the table's.
 
-    A table that comes with negopipe is cut to the tasks that there are, and None is returned where it is of others.
-    Any other is the user's word: UserError if it is not of these.
+    The table that comes with negopipe is cut to the number of tasks, and None is returned if it is of other tasks. Any
+    other table is named by the user: UserError if it is of other tasks.
     """
     found = oracle.rows[oracle.rows["setting"] == setting]
     if oracle.comes_along:
@@ -105,7 +105,7 @@ def drive_oracle(config: "RunConfig", game: Game, tasks: Task, oracle: OracleTab
 
 
 def _is_of(found: pd.DataFrame, tasks: Task) -> bool:
-    """The rows are of the first tasks: the same starts and styles."""
+    """The rows have the starts and styles of the first tasks."""
     drawn = (tasks.start_distance[:, EGO], tasks.start_distance[:, NEAREST], tasks.style_horizon[:, NEAREST])
     return all(
         np.allclose(found[column].to_numpy(float), values[: len(found)].cpu().numpy(), rtol=0.0, atol=SAME_START_M)

@@ -1,2 +1,2 @@
-"""The stages of a run: train, evaluate and report need each other in this order, replay needs evaluate,
-the others stand alone."""
+"""The stages of a run. Report needs evaluate, replay needs evaluate, evaluate needs a checkpoint (as train writes it);
+the others need no other stage."""

@@ -12,6 +12,7 @@ from negopipe.agents.driver import fixed_horizon
 from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, cell, claims, trends
 from negopipe.evaluation.episodes import drive_episodes, warm_up
+from negopipe.evaluation.episodes_file import Drives
 from negopipe.evaluation.names import fixed_name
 from negopipe.game.game import Game
 from negopipe.report.figures import render
@@ -44,13 +45,13 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     found = trends(table)
     tracked.update_metrics_json({"behaviour_map": {"claims": claims(found)}})
     paragraph = reading(found)
-    if "evaluate" not in config.stages:  # which has more to say
+    if "evaluate" not in config.stages:  # the evaluation has the longer description
         tracked.set_description(paragraph)
         log.info(paragraph)
 
 
 def drive_map(config: "RunConfig", game: Game) -> pd.DataFrame:
-    """One row of `negopipe.evaluation.behaviour_map.cell` per setting, ego horizon and social style."""
+    """One row of `negopipe.evaluation.behaviour_map.cell` per setting, style and horizon of the ego."""
     grid = config.behaviour_map
     pairs = list(product(config.evaluation.settings, grid.styles_s, grid.horizons_s))
     n = n_processes(config.device, int(config.n_threads))
@@ -79,7 +80,7 @@ def _drive(config: "RunConfig", game: Game, setting: str, style_s: float, horizo
     tasks, ego = map_tasks(config, game, setting, style_s), by_horizon(game, fixed_horizon(horizon_s))
     n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
     trace = drive_episodes(game, ego, tasks, n_worlds, paid, (fixed_name(horizon_s), setting))
-    return cell(trace, horizon_s, style_s, config.scenario.road.corridor_length_m, config.scenario.vehicle)
+    return cell(Drives.of(config, trace), horizon_s, style_s)
 
 
 def _draw(table: pd.DataFrame, formats: tuple[str, ...], run: "TrackedRun") -> None:

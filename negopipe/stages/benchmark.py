@@ -1,8 +1,8 @@
-"""The benchmark stage: how fast the game runs here, with each backend and number of worlds, and how fast it could.
+"""The benchmark stage: speed of the game by backend and number of worlds, and the limit set by the machine.
 
-Figures have flat names, `<backend>.<worlds>.<figure>`, beside `reference.*` (the machine), `limit.*` (what a decision
-needs) and `train.*` (training as configured). Every cell is measured in a process of its own, so that neither memory
-nor compiled code of one reaches another.
+Figures have flat names, `<backend>.<worlds>.<figure>`, beside `reference.*` (the machine), `limit.*` (least cost of a
+decision) and `train.*` (training as configured). Every cell is measured in a process of its own, so that cells share
+neither memory nor compiled code.
 """
 
 import json
@@ -64,15 +64,15 @@ COLUMNS = {
     "first_compile_s": "first step s",
     "cost_per_world_ratio": "cost ratio",
 }
-"""Figures of a cell, and what the table calls them."""
+"""Figure of a cell -> its heading in the table."""
 
 Figures = dict[str, float]
 
 
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
-    """Measure every backend that the machine has; writes benchmark.json and prints it as a table.
+    """Measure every available backend; writes benchmark.json and prints it as a table.
 
-    Raises UserError if none of `benchmark.backends` is there or a cell ends without a result (out of memory).
+    Raises UserError if none of `benchmark.backends` is available or a cell ends without a result (out of memory).
     """
     backends = available(config.benchmark.backends)
     devices = sorted({_device(backend).type for backend in backends})
@@ -99,7 +99,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
 
 
 def available(backends: tuple[Backend, ...]) -> list[Backend]:
-    """Those that this machine has; a line says what is left out and why."""
+    """Backends that this machine has; a log line names each one that is left out and the reason."""
     missing = {backend: reason for backend in backends if (reason := _what_is_missing(backend))}
     for backend, reason in missing.items():
         log.info(f"benchmark: {backend} is left out, there is no {reason}")
@@ -110,7 +110,7 @@ def available(backends: tuple[Backend, ...]) -> list[Backend]:
 
 
 def measure_machine(config: "RunConfig", device: str) -> Figures:
-    """Rates of a matrix product and of a copy, which make figures of different machines comparable."""
+    """Rates of a matrix product and of a copy, to which figures of different machines are related."""
     on = torch.device(device)
     return {
         f"{_reference(device)}matmul_gflops": matmul_gflops(config.benchmark, on),
@@ -124,9 +124,9 @@ def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figure
     decisions_per_s: steps of a world with random actions: all plans, reward, grids, a new task where an episode is over
     planner_candidates_per_s: combinations planned and checked, of all vehicles, by `plan` alone
     observation_frames_per_s: by `draw` alone
-    decision_latency_ms_p50, _p99: what one ego needs for a decision: grids, network, plan; with one world only
+    decision_latency_ms_p50, _p99: time of one decision of one ego: grids, network, plan; with one world only
     peak_memory_mb: growth of the peak since before the game is built, the compiler's own memory included
-    first_compile_s: the first grids and the first step, in which all is compiled that a step needs
+    first_compile_s: time of the first grids and the first step, with the compilation of everything that a step needs
     """
     before_mb = peak_memory_mb(_device(backend))
     benchmark, device = config.benchmark, _device(backend)
@@ -160,7 +160,7 @@ def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figure
 
 
 def limits(config: "RunConfig", devices: list[str], figures: Figures) -> Figures:
-    """What a decision needs at least, and how many the machine could take with its two rates."""
+    """Least cost of a decision, and the decisions per second that the machine's two rates allow."""
     game = build_game(config)
     work = decision_workload(game, config.scenario)
     limit = {"limit.flops_per_decision": work.flops, "limit.bytes_per_decision": work.bytes}
@@ -171,7 +171,7 @@ def limits(config: "RunConfig", devices: list[str], figures: Figures) -> Figures
 
 
 def comparisons(config: "RunConfig", cells: list[tuple[Backend, int]], figures: Figures) -> Figures:
-    """Each cell's decisions per second against the machine, and the cost of a world among many against among few."""
+    """Decisions per second of each cell relative to the machine, and cost of a world relative to a small batch."""
     compared = {}
     for backend, n_worlds in cells:
         device, cell = _device(backend).type, f"{backend}.{n_worlds}"
@@ -185,7 +185,7 @@ def comparisons(config: "RunConfig", cells: list[tuple[Backend, int]], figures: 
 
 
 def _start(config: "RunConfig", game: Game, n_worlds: int, device: torch.device) -> NegotiationEnv:
-    """Worlds of all ages, so that from the first step on as many episodes end as ever after."""
+    """Worlds of all ages, so that the rate of ending episodes is stationary from the first step on."""
     tasks = generator(config.seed, "benchmark tasks", device)
     sampler = TaskSampler(config.scenario, config.evaluated_families, tasks)
     env = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
@@ -195,7 +195,7 @@ def _start(config: "RunConfig", game: Game, n_worlds: int, device: torch.device)
 
 
 def _decide(config: "RunConfig", env: NegotiationEnv, device: torch.device) -> Callable[[], object]:
-    """One ego's decision as evaluation takes it."""
+    """One decision of the ego as in the evaluation."""
     weights = generator(config.seed, "initial weights")
     policy = grid_actor_critic(config.policy, env.game.observation_shape, device, weights)
     driver = HorizonDriver(adaptive_planner(policy, env.game, config.policy.horizons_s, None), env.game.plan)
@@ -269,7 +269,7 @@ def _show(cells: list[tuple[Backend, int]], figures: Figures) -> None:
 
 
 def _short(value: float) -> str:
-    """Three digits that count: 0.0123, 1.23, 123, 12.3k, 1.23M."""
+    """Three significant digits: 0.0123, 1.23, 123, 12.3k, 1.23M."""
     for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if value >= size:
             return f"{value / size:.3g}{letter}"

@@ -1,10 +1,10 @@
-"""The evaluate stage: the policy and the planners that it is compared with, on the same held-out tasks."""
+"""The evaluate stage: the policy and its baselines on the same held-out tasks."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from torch import Tensor
@@ -13,11 +13,10 @@ from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver, MakeDriver
 from negopipe.agents.horizon_drivers import adaptive_planner
 from negopipe.errors import UserError
-from negopipe.evaluation import metrics
+from negopipe.evaluation import measures
 from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes import drive_episodes, warm_up
-from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
-from negopipe.evaluation.safety import safety
+from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME, Drives, episodes
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
 from negopipe.game.game import Game
 from negopipe.policy.actor_critic import ActorCritic
@@ -40,10 +39,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("negopipe")
 
-CHARTED = ("success_rate", "collision_rate", "timeout_rate", "driving_time_s", "reward")
-"""Measures of which the store gets a chart for every setting and planner."""
 Driven = tuple[pd.DataFrame, Trace]
-"""Of one planner in one setting: what is measured, and the first drives."""
+"""Rows of episodes.csv of one planner in one setting, and the record of the first episodes."""
 
 
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
@@ -65,17 +62,18 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     table = pd.concat(tables, ignore_index=True)
     write_csv(tracked.folder / EPISODES_NAME, table, EPISODES)
     save_traces(tracked.folder / "traces.npz", list(traces))
-    summary = metrics.summary(table)
+    summary = measures.summary(table)
     results = summary | versus_adaptive(table) | regret(table)
     tracked.update_metrics_json(results)
     tracked.log_artifact(tracked.folder / EPISODES_NAME)
-    tracked.log_metrics(_scalars(summary), step=0)
+    tracked.log_metrics(charts(summary), step=0)
     log_summary(config, tracked, results)
-    _say(summary)
+    for line in terminal_table(summary):
+        log.info(line)
 
 
 def _jobs(config: "RunConfig", game: Game, policy: ActorCritic) -> dict[tuple[str, str], Callable[[], Driven | None]]:
-    """By setting and planner what drives it there."""
+    """(setting, planner) -> evaluation of the planner in the setting."""
     oracle = None if config.evaluation.oracle is None else read_oracle(config.evaluation.oracle)
     jobs: dict[tuple[str, str], Callable[[], Driven | None]] = {}
     for setting in config.evaluation.settings:
@@ -90,13 +88,13 @@ def _jobs(config: "RunConfig", game: Game, policy: ActorCritic) -> dict[tuple[st
 
 
 def _measured(config: "RunConfig", drive: Callable[[], Trace | None]) -> Driven | None:
-    """None if the planner was not driven."""
+    """Rows and record of a planner; None if it was not driven."""
     trace = drive()
     return None if trace is None else (measure(config, trace), trace.first(config.evaluation.n_traced))
 
 
 def _warm_up(config: "RunConfig", game: Game, policy: ActorCritic) -> None:
-    """Compile what every planner needs before processes are forked: else each of them would."""
+    """Compile the code of all planners once, before processes are forked."""
     first = map_tensors(lambda field: field[:1], held_out_tasks(config, game, config.evaluation.settings[0]))
     warm_up(game, _adaptive(config, game, policy), first)
     for baseline in config.evaluation.baselines.values():
@@ -104,7 +102,7 @@ def _warm_up(config: "RunConfig", game: Game, policy: ActorCritic) -> None:
 
 
 def _drive(config: "RunConfig", game: Game, policy: ActorCritic, tasks: Task, names: tuple[str, str]) -> Trace:
-    """The planner names[0]: the policy or one of the baselines."""
+    """The record of the planner names[0], the policy or a baseline."""
     if names[0] != ADAPTIVE:
         return drive_baseline(config, game, config.evaluation.baselines[names[0]], tasks, names)
     ego, n_worlds, paid = _adaptive(config, game, policy), config.evaluation.n_worlds, config.evaluation.reward
@@ -125,7 +123,7 @@ def _is_drawn(config: "RunConfig") -> bool:
 
 @one_thread()
 def drive_baseline(config: "RunConfig", game: Game, baseline: Baseline, tasks: Task, names: tuple[str, str]) -> Trace:
-    """The first of the tasks, as many as it drives."""
+    """The record of a baseline on the first tasks, as many as it drives."""
     driven = map_tensors(lambda field: field[: baseline.n_episodes], tasks)
     n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
     return drive_episodes(game, partial(baseline.driver, game), driven, n_worlds, paid, names, baseline.is_lockstep)
@@ -139,13 +137,12 @@ def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
 
 
 def measure(config: "RunConfig", trace: Trace) -> pd.DataFrame:
-    """All that is measured, one row per episode."""
-    driven = metrics.episodes(trace, config.scenario.road.corridor_length_m)
-    return driven.join(safety(trace, config.scenario.vehicle, config.planner.limits.full_braking_mps2))
+    """Rows of episodes.csv."""
+    return episodes(Drives.of(config, trace))
 
 
 def checkpoint_of(config: "RunConfig", run: "TrackedRun") -> Path:
-    """What this run trained, or else what `checkpoint` names."""
+    """The checkpoint of this run's training, else the one that `checkpoint` names."""
     own = run.folder / CHECKPOINT_NAME
     if own.is_file() and (config.checkpoint is None or "train" in config.stages):
         return own
@@ -157,24 +154,23 @@ def checkpoint_of(config: "RunConfig", run: "TrackedRun") -> Path:
     return find_checkpoint(config.checkpoint, config)
 
 
-def _scalars(summary: dict) -> dict[str, float]:
-    """What the store charts; metrics.json and the report's tables have all."""
+def charts(summary: Mapping[str, Any]) -> dict[str, float]:
+    """`evaluation/<setting>/<planner>/<measure>` of the charted measures that have a value."""
     return {
-        f"evaluation/{setting}/{planner}/{measure}": float(value)
+        f"evaluation/{setting}/{planner}/{measure.name}": float(value)
         for setting, planners in summary["evaluation"].items()
-        for planner, measures in planners.items()
-        for measure in CHARTED
-        if (value := measures[measure]) is not None
+        for planner, values in planners.items()
+        for measure in measures.MEASURES
+        if measure.is_charted and (value := values[measure.name]) is not None
     }
 
 
-def _say(summary: dict) -> None:
-    """The result as a table on the terminal."""
+def terminal_table(summary: Mapping[str, Any]) -> list[str]:
+    """Lines of a table per setting, with a row per planner and a column per charted measure."""
+    charted = [measure for measure in measures.MEASURES if measure.is_charted]
+    lines = []
     for setting, planners in summary["evaluation"].items():
-        log.info(f"{setting:10} {'success':>8} {'collision':>10} {'timeout':>8} {'time':>8} {'reward':>8}")
-        for planner, m in planners.items():
-            time = "-" if m["driving_time_s"] is None else f"{m['driving_time_s']:.1f} s"
-            log.info(
-                f"  {planner:8} {m['success_rate']:8.1%} {m['collision_rate']:10.1%} {m['timeout_rate']:8.1%} "
-                f"{time:>8} {m['reward']:8.2f}"
-            )
+        lines.append(f"{setting:12}" + "".join(f"{measure.label:>14}" for measure in charted))
+        for planner, values in planners.items():
+            lines.append(f"  {planner:10}" + "".join(f"{m.text(values[m.name]):>14}" for m in charted))
+    return lines

@@ -1,4 +1,4 @@
-"""The oracle stage: the best sequence of horizons per held-out task, and what the fixed horizons do on the same."""
+"""The oracle stage: the best sequence of horizons per held-out task, and the fixed horizons on the same tasks."""
 
 import logging
 import shutil
@@ -12,7 +12,9 @@ import torch
 from negopipe.agents.driver import ChooseHorizon, fixed_horizon
 from negopipe.agents.horizon_drivers import by_horizon, sequence_planner
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.metrics import episodes, running, summary
+from negopipe.evaluation.episodes_file import Drives, episodes
+from negopipe.evaluation.measures import summary
+from negopipe.evaluation.metrics import running
 from negopipe.evaluation.names import fixed_name
 from negopipe.evaluation.trace import ORACLE, Trace
 from negopipe.game.game import Game
@@ -34,15 +36,24 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 PARTS_NAME = "oracle"
-"""Folder of a run in which the settings that are done wait for the others."""
+"""Folder of a run with the finished settings."""
 CONVERGED = 0.05
-"""A search is said to have converged if twice the budget gains less than this, in mean return."""
+"""Gain in mean return by a doubled budget below which a search has converged."""
+
+
+COLUMNS = (
+    *("setting", "episode", "ego_start_distance_m", "social_start_distance_m", "style_horizon_s"),
+    *("outcome", "reward", "ego_time_s", "social_time_s", "horizons"),
+)
+"""Columns of episodes.csv that oracle.csv repeats."""
+MEASURED = ("planner", "driving_time_s", *COLUMNS)
+"""Columns of episodes.csv that the stage computes."""
 
 
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Search all settings; writes oracle.csv (`table` and `n_switches`) and the part `oracle` of metrics.json.
 
-    A run that was stopped goes on with the setting that it was at.
+    A stopped run resumes with the first unfinished setting.
     """
     game = game_of(config)
     parts = {setting: tracked.folder / PARTS_NAME / f"{setting}.csv" for setting in config.oracle.settings}
@@ -62,14 +73,14 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
 def _search(
     config: "RunConfig", game: Game, run: "TrackedRun", setting: str, part: Path, progress: ProgressLine
 ) -> None:
-    """One setting; its rows go to the file `part`, whose presence tells that the setting is done."""
+    """Search one setting and write its rows to the file `part`, which marks the setting as finished."""
     tasks = oracle_tasks(config, game, setting)
     half, best = find(config, game, tasks, setting, progress)
     trace = play(config, game, tasks, best, setting)
-    own = episodes(trace, config.scenario.road.corridor_length_m)
+    own = episodes(Drives.of(config, trace), MEASURED)
     fixed = fixed_episodes(config, game, tasks, setting)
     measures = _measures(own, fixed, half, best)
-    _say(setting, measures)
+    _log_measures(setting, measures)
     run.update_metrics_json({"oracle": {setting: measures}})
     write_csv(part, table(own, fixed).assign(n_switches=n_switches(trace)), ORACLE_TABLE)
 
@@ -83,7 +94,7 @@ def oracle_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
 def find(
     config: "RunConfig", game: Game, tasks: Task, setting: str, progress: ProgressLine
 ) -> tuple[Sequences, Sequences]:
-    """What is found [N] with the configured budget, and with twice that."""
+    """Sequences [N] found with the configured budget and with twice that."""
     rollouts = Rollouts(game, config.policy.horizons_s, config.evaluation.reward)
     random = generator(config.seed, f"oracle {setting}", tasks.family.device)
     best = half = best_simple(rollouts, tasks)
@@ -95,17 +106,18 @@ def find(
 
 
 def play(config: "RunConfig", game: Game, tasks: Task, best: Sequences, setting: str) -> Trace:
-    """The record of the sequences `best` [N], driven like every planner."""
+    """The record of the sequences `best` [N], driven like any planner."""
     horizons = torch.tensor(config.policy.horizons_s, device=best.actions.device)
     choose, paid = sequence_planner(horizons[best.actions.T]), config.evaluation.reward
     return drive_episodes(game, by_horizon(game, choose), tasks, len(tasks), paid, (ORACLE, setting), is_lockstep=True)
 
 
 def fixed_episodes(config: "RunConfig", game: Game, tasks: Task, setting: str) -> dict[float, pd.DataFrame]:
-    """`metrics.episodes` of each fixed horizon among the ego's choices."""
-    horizons_s, length_m = list(config.policy.horizons_s), config.scenario.road.corridor_length_m
-    traces = {h: _drive(config, game, fixed_horizon(h), tasks, (fixed_name(h), setting)) for h in horizons_s}
-    return {h: episodes(trace, length_m) for h, trace in traces.items()}
+    """Rows of episodes.csv of each fixed horizon among the ego's choices."""
+    traces = {
+        h: _drive(config, game, fixed_horizon(h), tasks, (fixed_name(h), setting)) for h in config.policy.horizons_s
+    }
+    return {h: episodes(Drives.of(config, trace), MEASURED) for h, trace in traces.items()}
 
 
 def _drive(config: "RunConfig", game: Game, choose: ChooseHorizon, tasks: Task, names: tuple[str, str]) -> Trace:
@@ -115,10 +127,10 @@ def _drive(config: "RunConfig", game: Game, choose: ChooseHorizon, tasks: Task, 
 def table(own: pd.DataFrame, fixed: dict[float, pd.DataFrame]) -> pd.DataFrame:
     """One row per task of a setting, `episode` as in the evaluation's episodes.csv.
 
-    Columns of `metrics.episodes` (reward is the oracle's return), and
+    COLUMNS: of the oracle's drive; reward is its return
     best_fixed_horizon_s, best_fixed_reward: the fixed horizon with the highest return on the task, the shortest
         of equally good ones
-    fixed_<h>_outcome, fixed_<h>_reward: of each fixed horizon on the task
+    fixed_<h>_outcome, fixed_<h>_reward: outcome and return of each fixed horizon on the task
     """
     returns = np.stack([each["reward"] for each in fixed.values()])
     beside = {
@@ -126,9 +138,7 @@ def table(own: pd.DataFrame, fixed: dict[float, pd.DataFrame]) -> pd.DataFrame:
         for h, each in fixed.items()
         for column in ("outcome", "reward")
     }
-    columns = "setting episode ego_start_distance_m social_start_distance_m style_horizon_s outcome reward "
-    columns += "ego_time_s social_time_s horizons"
-    return own[columns.split()].assign(
+    return own[[*COLUMNS]].assign(
         best_fixed_horizon_s=np.array(list(fixed))[returns.argmax(0)],
         best_fixed_reward=returns.max(0),
         **beside,
@@ -136,13 +146,13 @@ def table(own: pd.DataFrame, fixed: dict[float, pd.DataFrame]) -> pd.DataFrame:
 
 
 def n_switches(trace: Trace) -> np.ndarray:
-    """[E] int64: how often the ego's horizon changed before the episode ended."""
+    """[E] int64: number of changes of the ego's horizon before the episode ended."""
     horizon = trace.horizon_s[:, :, EGO]
     return ((horizon[1:] != horizon[:-1]) & running(trace)[1:]).sum(0)
 
 
 def _measures(own: pd.DataFrame, fixed: dict[float, pd.DataFrame], half: Sequences, best: Sequences) -> dict[str, Any]:
-    """`oracle.<setting>` of metrics.json; the fixed horizons beside it."""
+    """`oracle.<setting>` of metrics.json, with the fixed horizons."""
     (by_planner,) = summary(pd.concat([own, *fixed.values()]))["evaluation"].values()
     found = by_planner.pop(ORACLE)
     gain = float((best.reward - half.reward).mean())
@@ -156,9 +166,9 @@ def _measures(own: pd.DataFrame, fixed: dict[float, pd.DataFrame], half: Sequenc
     }
 
 
-def _say(setting: str, m: dict[str, Any]) -> None:
+def _log_measures(setting: str, m: dict[str, Any]) -> None:
     fixed = ", ".join(f"{name} {each['reward']:.2f}" for name, each in m["fixed"].items())
     log.info(
-        f"{setting:10} oracle {m['reward']:.2f} ({m['success_rate']:.1%} success), {fixed}; doubling the search "
-        f"gained {m['gain_by_doubling']:.3f}: {'converged' if m['is_converged'] else 'not converged'}"
+        f"{setting:10} oracle {m['reward']:.2f} ({m['success_rate']:.1%} success), {fixed}; gain by a doubled budget "
+        f"{m['gain_by_doubling']:.3f}: {'converged' if m['is_converged'] else 'not converged'}"
     )

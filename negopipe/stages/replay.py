@@ -1,4 +1,4 @@
-"""The replay stage: one evaluated episode again, bit for bit, as an animation that looks into the policy."""
+"""The replay stage: one evaluated episode, reproduced bit for bit, as an animation with the policy's decisions."""
 
 import logging
 from pathlib import Path
@@ -31,11 +31,11 @@ log = logging.getLogger("negopipe")
 
 FOLDER = "replays"
 KEYS = ("setting", "planner", "episode")
-"""Columns of episodes.csv that say which episode it is."""
+"""Columns of episodes.csv that identify an episode."""
 
 
 class EpisodeId(NamedTuple):
-    """Which episode: the columns setting, planner and episode of episodes.csv."""
+    """Identity of an episode: the columns setting, planner and episode of episodes.csv."""
 
     setting: str
     planner: str
@@ -45,7 +45,7 @@ class EpisodeId(NamedTuple):
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Drive `episode` again; writes replays/<setting>_<planner>_<number>.gif and a still, .png.
 
-    Raises UserError if it was not evaluated in this run, or if it does not come out as it did then.
+    Raises UserError if it was not evaluated in this run, or if its replay differs from the evaluation.
     """
     which, row = find_episode(config, tracked.folder)
     game, policy = build(config)
@@ -54,7 +54,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     tasks = map_tensors(lambda field: field[only], held_out_tasks(config, game, which.setting))
     trace = _drive(config, game, tasks, which, row)
     _check_same(config, tracked.folder, which, row, trace)
-    policy_trace = _insight(config, game, policy, tasks, row) if which.planner == ADAPTIVE else None
+    policy_trace = _policy_trace(config, game, policy, tasks, row) if which.planner == ADAPTIVE else None
     folder = tracked.folder / FOLDER
     folder.mkdir(exist_ok=True)
     name = "_".join(map(str, which))
@@ -75,7 +75,9 @@ def find_episode(config: "RunConfig", folder: Path) -> tuple[EpisodeId, pd.Serie
     path = folder / EPISODES_NAME
     table = read_csv(path, EPISODES.texts, KEYS)
     if "horizons" not in table:
-        raise UserError(f"{path}: holds no horizons, it is of older code; run the stage `evaluate` anew (rerun=true)")
+        raise UserError(
+            f"{path}: has no column horizons, since older code wrote it; run the stage `evaluate` anew (rerun=true)"
+        )
     setting, planner, number = str(config.episode).split("/")
     own = table[(table["setting"] == setting) & (table["planner"] == planner)]
     row = own[own["episode"] == str(int(number))]
@@ -90,7 +92,7 @@ def find_episode(config: "RunConfig", folder: Path) -> tuple[EpisodeId, pd.Serie
 
 
 def _drive(config: "RunConfig", game: Game, tasks: Task, which: EpisodeId, row: pd.Series) -> Trace:
-    """From the stored horizons; a driver that chooses none drives as it did."""
+    """The record of the stored horizons; a driver without horizons drives again."""
     names = (which.planner, which.setting)
     if row["horizons"]:
         return replay(game, tasks, [from_text(row["horizons"])], config.evaluation.reward, names)
@@ -98,9 +100,9 @@ def _drive(config: "RunConfig", game: Game, tasks: Task, which: EpisodeId, row: 
 
 
 def _check_same(config: "RunConfig", folder: Path, which: EpisodeId, row: pd.Series, trace: Trace) -> None:
-    """Every figure of its row and, where they were kept, every state to the last bit.
+    """Check every value of its row and, if its record was kept, every state to the last bit.
 
-    Without a compiler what is computed beside a world moves its last bits; then how it ended must be the same.
+    Without a compiler the last bits depend on the other worlds of a batch; then outcome and duration are checked.
     """
     is_exact = config.compile == "on"
     driven = parse_csv(csv_text(measure(config, trace), EPISODES), EPISODES.texts).iloc[0]
@@ -109,8 +111,8 @@ def _check_same(config: "RunConfig", folder: Path, which: EpisodeId, row: pd.Ser
     for name in compared:
         if driven[name] != stored[name]:
             said = f"{name} {driven[name]} for {stored[name]}"
-            raise UserError(f"episode {config.episode} must come out as evaluated, got {said}")
-    kept = [t for t in load_traces(folder / "traces.npz") if (t.family, t.planner) == (which.setting, which.planner)]
+            raise UserError(f"episode {config.episode} must be as evaluated, got {said}")
+    kept = [t for t in load_traces(folder / "traces.npz") if (t.setting, t.planner) == (which.setting, which.planner)]
     is_kept = is_exact and bool(kept) and which.episode < len(kept[0].n_steps)
     if is_kept:
         _check_bits(config, which, kept[0], trace)
@@ -121,10 +123,10 @@ def _check_bits(config: "RunConfig", which: EpisodeId, kept: Trace, trace: Trace
     for name, axis in EPISODE_AXIS.items():
         then = np.take(getattr(kept, name), [which.episode], axis)
         if not np.array_equal(then, getattr(trace, name), equal_nan=then.dtype.kind == "f"):
-            raise UserError(f"episode {config.episode} must come out as evaluated, got another {name}")
+            raise UserError(f"episode {config.episode} must be as evaluated, got another {name}")
 
 
-def _insight(config: "RunConfig", game: Game, policy: "ActorCritic", tasks: Task, row: pd.Series) -> PolicyTrace:
+def _policy_trace(config: "RunConfig", game: Game, policy: "ActorCritic", tasks: Task, row: pd.Series) -> PolicyTrace:
     horizons, interval_s = config.policy.horizons_s, config.observation.frame_interval_s
     chosen = [from_text(row["horizons"])]
     return record_policy(game, policy, horizons, interval_s, tasks, chosen, config.evaluation.reward)[0]

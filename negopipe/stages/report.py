@@ -42,14 +42,13 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 N_TABLED = 100
-"""Episodes of each planner and setting in the store's table, which is for looking through; episodes.csv has all."""
+"""Episodes of each planner and setting in the store's table; episodes.csv has all."""
 
 
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Write claims.json, figures/, animations/ and report.html into the run folder and log them as artifacts.
 
-    Raises UserError if a file that an earlier stage writes is missing, or if the planners that are shown side
-    by side were not evaluated on the same tasks.
+    Raises UserError if a file of an earlier stage is missing, or if the planners were evaluated on different tasks.
     """
     metrics = read_metrics(tracked.folder)
     settings = settings_in_order(metrics["evaluation"], config.evaluation.leading_setting)
@@ -89,7 +88,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
 
 
 def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
-    """The road as plain arrays for drawing."""
+    """The static scene as plain arrays for drawing."""
     reach_m = 60.0 + scenario.road.corridor_length_m / 2
     kerbs = road.kerb_lines(-reach_m, reach_m)
     sigma = torch.linspace(-reach_m, reach_m, kerbs.shape[1])
@@ -109,14 +108,14 @@ def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
 def record_policies(
     config: "RunConfig", run: "TrackedRun", traces: Mapping[str, list[Trace]]
 ) -> dict[str, dict[int, PolicyTrace]]:
-    """What the policy saw and thought in the episodes that are shown alone, by setting and episode: they are driven
-    once more with the horizons of the record."""
+    """Setting -> episode -> inputs and outputs of the policy, of the episodes that are shown alone. They are replayed
+    with the recorded horizons."""
     shown = {
         setting: list(filmed_alone(config.report, adaptive_of(group)).values()) for setting, group in traces.items()
     }
     if not any(shown.values()):
         return {}
-    log.info("report: looking into the policy")
+    log.info("report: replay of the policy")
     game, policy = build(config)
     load_policy(checkpoint_of(config, run), policy, config)
     policy_traces = {}
@@ -137,7 +136,7 @@ def record_policies(
 
 
 def _log_tables(run: "TrackedRun", metrics: Mapping[str, Any], episodes: pd.DataFrame) -> None:
-    """What the dashboard shows as tables, of one run or of several side by side."""
+    """Log the measures and the first episodes as tables of the dashboard."""
     measures = [
         {"setting": setting, "planner": planner} | values
         for setting, planners in metrics["evaluation"].items()

@@ -25,7 +25,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Train a policy.
 
     Writes checkpoint.safetensors, history.csv, training_episodes.csv and the `train` part of metrics.json.
-    A run that was stopped goes on from its newest snapshot, and ends as if it had never been stopped.
+    A stopped run resumes from its newest snapshot, with the same results as an uninterrupted one.
     """
     tracked.set_description(run_description(config))
     training = Training(config, tracked.folder)
@@ -44,7 +44,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
                 if training.is_at_stage_end:
                     save_stage(config, tracked, training)
                 if is_due or interrupt():
-                    tracked.sync()  # what the snapshot stands for is not logged again
+                    tracked.sync()  # decisions before the snapshot are not logged again
                     training.save_to(snapshots)
                     last_s = time.monotonic()
             interrupt.raise_if_requested()
@@ -53,7 +53,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
 
 
 def _stop_at_last_good(config: "RunConfig", run: "TrackedRun", training: Training) -> NoReturn:
-    """Training on would only spoil what has been reached; the policy of before this iteration is kept."""
+    """Save the policy of before this iteration, the last finite one, and stop with a UserError."""
     wrong, path = training.not_finite()[0], run.folder / CHECKPOINT_NAME
     training.policy.load_state_dict(training.weights_before)
     save_policy(path, training.policy, config, (training.n_done - 1) * training.curve.n_per_iteration)

@@ -8,8 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from negopipe.evaluation.metrics import SAFETY, behaviour_index, episodes, passes_first, summary, suspensions
+from negopipe.evaluation.episodes_file import Drives, episodes
+from negopipe.evaluation.measures import summary
+from negopipe.evaluation.metrics import behaviour_index, passes_first, suspensions
 from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.simulation.scenario import VehicleConfig
 
 DT_S = 0.2
 CORRIDOR_M = 12.0
@@ -24,7 +27,7 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
     progress = (travelled - start).astype(np.float32)
     return Trace(
         planner="fixed_2",
-        family="push",
+        setting="push",
         dt_s=DT_S,
         start_distance_m=start,
         style_horizon_s=np.array([[np.nan, 6.0]], dtype=np.float32),
@@ -39,6 +42,10 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
         reached_step=np.array([reached]),
         outcome=np.array([OUTCOMES.index(outcome)]),
     )
+
+
+def drives_of(trace: Trace) -> Drives:
+    return Drives(trace, CORRIDOR_M, VehicleConfig(length_m=4.5, width_m=1.8), braking_mps2=8.0)
 
 
 def concatenate(*traces: Trace) -> Trace:
@@ -81,7 +88,7 @@ def test_row_of_a_success() -> None:
     trace = make_trace([4, 0.0, 4, 4, 4, 4], 4, (3, 4), "success")
     trace.is_full_braking[:, 0, :] = np.array([[1, 1], [0, 1], [1, 0], [0, 0], [1, 1]], dtype=bool)
     trace.horizon_s[:, 0, 0] = [0, 6, 6, 2, 99]  # the last decision lies after the end
-    row = episodes(trace, CORRIDOR_M).iloc[0]
+    row = episodes(drives_of(trace)).iloc[0]
     assert (row["planner"], row["setting"], row["episode"]) == ("fixed_2", "push", 0)
     assert (row["outcome"], row["n_decisions"]) == ("success", 4)
     assert (row["ego_start_distance_m"], row["social_start_distance_m"]) == (13.0, 6.5)
@@ -97,7 +104,7 @@ def test_row_of_a_success() -> None:
 def test_row_of_a_crash_has_no_times() -> None:
     trace = make_trace([4, 4, 4], 2, (-1, -1), "collision")
     trace.horizon_s[:, 0, 0] = np.nan
-    row = episodes(trace, CORRIDOR_M).iloc[0]
+    row = episodes(drives_of(trace)).iloc[0]
     assert row["outcome"] == "collision"
     assert row[["ego_time_s", "social_time_s", "driving_time_s", "mean_horizon_s"]].isna().all()
     assert row["passes_first"] == "none"
@@ -172,8 +179,7 @@ def test_summary_without_arrivals_is_null_in_json() -> None:
 
 def test_collisions_are_told_apart_by_who_could_have_avoided_them() -> None:
     whose = ["none", "ego", "both", "nobody", "social", "alone"]
-    safe = pd.DataFrame({name: 1.0 for name in SAFETY}, index=range(6)).assign(avoidable_by=whose)
-    measures = summary(table().assign(planner="a", setting="push").join(safe))["evaluation"]["push"]["a"]
+    measures = summary(table().assign(planner="a", setting="push", avoidable_by=whose))["evaluation"]["push"]["a"]
     share = {name: measures[name] for name in measures if name.startswith("avoidable")}
     assert share == {
         "avoidable_rate": pytest.approx(2 / 6),

@@ -4,10 +4,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
-from negopipe.evaluation.safety import avoidable_by, box_distance, footprints, safety, smallest_gap
+from negopipe.evaluation.episodes_file import Drives, episodes
+from negopipe.evaluation.safety import avoidable_by, box_distance, footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, time_to_collision
 from negopipe.simulation.scenario import VehicleConfig
@@ -46,7 +48,7 @@ def make_trace(social_x_m: list[list[float]]) -> Trace:
     facing = np.float32([0.0, *[np.pi] * (n_vehicles - 1)])
     return Trace(
         planner="fixed_0",
-        family="push",
+        setting="push",
         dt_s=0.2,
         start_distance_m=np.zeros((1, n_vehicles)),
         style_horizon_s=np.zeros((1, n_vehicles)),
@@ -148,17 +150,21 @@ def test_weaker_brakes_avoid_less() -> None:
     assert avoidable_by(trace, VEHICLE, 0.5).tolist() == ["nobody"]
 
 
+def row_of(trace: Trace) -> pd.Series:
+    return episodes(Drives(trace, 12.0, VEHICLE, BRAKING_MPS2)).iloc[0]
+
+
 def test_a_row_of_measures() -> None:
     """Braking from 5 to 3 m/s in one step and letting go again, before who stands 18.9 m away."""
     ego = [5.0, 5.0, 3.0, 3.0, 3.0, 3.0]
-    row = safety(drive(ego, [0.0] * 6, 18.9), VEHICLE, BRAKING_MPS2).iloc[0]
+    row = row_of(drive(ego, [0.0] * 6, 18.9))
     assert row["largest_decel_mps2"] == pytest.approx(10.0, rel=1e-5)
     assert row["largest_jerk_mps3"] == pytest.approx(50.0, rel=1e-5)
     driven = 0.2 * (5.0 + 4.0 + 3 * 3.0)
     assert row["smallest_gap_m"] == pytest.approx(18.9 - 4 - driven, abs=1e-4)
     at_five = (18.9 - 4 - 1.0) / 5.0  # the last moment at 5 m/s; at 3 m/s they are farther apart in time
     assert row["smallest_ttc_s"] == pytest.approx(at_five, abs=1e-4)
-    parted = safety(drive([0.0] * 6, [0.0] * 6, 18.9), VEHICLE, BRAKING_MPS2).iloc[0]
+    parted = row_of(drive([0.0] * 6, [0.0] * 6, 18.9))
     assert math.isnan(parted["smallest_ttc_s"])
     assert parted["largest_decel_mps2"] == parted["largest_jerk_mps3"] == 0
 
@@ -166,5 +172,5 @@ def test_a_row_of_measures() -> None:
 def test_what_comes_after_the_end_counts_for_nothing() -> None:
     ego = [5.0, 5.0, 5.0, 0.0, 0.0, 0.0]
     trace = replace(drive(ego, [0.0] * 6, 60.0), n_steps=np.array([2]))
-    row = safety(trace, VEHICLE, BRAKING_MPS2).iloc[0]
+    row = row_of(trace)
     assert row["largest_decel_mps2"] == row["largest_jerk_mps3"] == 0

@@ -19,7 +19,7 @@ def make_trace(planner: str, seed: int) -> Trace:
 
     return Trace(
         planner=planner,
-        family="push",
+        setting="push",
         dt_s=0.2,
         start_distance_m=floats(3, 2),
         style_horizon_s=np.array([[np.nan, 2.0]] * 3, dtype=np.float32),
@@ -63,3 +63,10 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
     for path in (text, foreign, array):
         with pytest.raises(UserError, match="not a file of traces"):
             load_traces(path)
+
+
+def test_a_file_of_another_format_names_the_stage_that_writes_it_anew(tmp_path: Path) -> None:
+    with (tmp_path / "traces.npz").open("wb") as file:
+        np.savez(file, format=np.array("negopipe traces 1"), n_traces=np.array(0))
+    with pytest.raises(UserError, match="format 'negopipe traces 2'; run the stage `evaluate` anew"):
+        load_traces(tmp_path / "traces.npz")

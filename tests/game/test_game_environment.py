@@ -9,7 +9,7 @@ from games import draw_tasks
 from negopipe.agents.driver import HorizonDriver, drive_together, fixed_horizon, own_style
 from negopipe.config.root import RunConfig
 from negopipe.game.environment import NegotiationEnv
-from negopipe.game.game import Game, build_game
+from negopipe.game.game import Game, build_game, joint_horizon
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.scenario import TaskSampler
@@ -66,6 +66,17 @@ def test_observation_is_that_of_the_world(config: RunConfig, game: Game) -> None
     for _ in range(40):
         env.step(torch.zeros(4, dtype=torch.int64))
         assert torch.equal(env.observe(), game.draw(game.perceive(env.world).of(EGO)))
+
+
+def test_the_joint_horizon_is_the_choice_beside_the_styles_and_leaves_the_world_alone(
+    config: RunConfig, game: Game
+) -> None:
+    world = make(config, game, 2).world
+    style = world.style_horizon[:, EGO + 1 :].clone()
+    horizon = joint_horizon(world, torch.tensor([2.0, 6.0]))
+    assert horizon[:, EGO].tolist() == [2.0, 6.0]
+    assert torch.equal(horizon[:, EGO + 1 :], style)
+    assert world.style_horizon[:, EGO].isnan().all()
 
 
 def test_actions_are_horizons(config: RunConfig, game: Game) -> None:

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from negopipe.evaluation.metrics import episodes
-from negopipe.evaluation.safety import safety
+from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.trace import Trace
 from negopipe.report.scene import Scene
 from negopipe.simulation.scenario import VehicleConfig
@@ -86,7 +85,7 @@ def _finish(
     slope = np.gradient(_offset(s), axis=0) / np.maximum(np.gradient(s, axis=0), 0.05)
     return Trace(
         planner=planner,
-        family=family,
+        setting=family,
         dt_s=DT_S,
         start_distance_m=start.astype(np.float32),
         style_horizon_s=np.tile(np.float32([np.nan, STYLE_S[family]]), (n_episodes, 1)),
@@ -167,7 +166,7 @@ def traces() -> list[Trace]:
 @pytest.fixture(scope="session")
 def table(traces: list[Trace]) -> pd.DataFrame:
     vehicle = VehicleConfig(length_m=4.5, width_m=1.8)
-    rows = [episodes(trace, CORRIDOR_M).join(safety(trace, vehicle, 8.0)) for trace in traces]
+    rows = [episodes(Drives(trace, CORRIDOR_M, vehicle, 8.0)) for trace in traces]
     return pd.concat(rows, ignore_index=True)
 
 

@@ -7,7 +7,7 @@ FIXED_S = {"fixed_0": 0.0, "fixed_2": 2.0, "fixed_4": 4.0, "fixed_6": 6.0}
 
 
 def measures(success: float, collision: float, time_s: float | None, n: int = 100) -> dict[str, Any]:
-    """Of a planner in a setting, with rough intervals that get narrower with n."""
+    """Measures of a planner in a setting, with rough intervals that get narrower with n."""
     half = 1 / n**0.5
     return {
         "success_rate": success,
@@ -37,7 +37,7 @@ def measures(success: float, collision: float, time_s: float | None, n: int = 10
 
 
 def versus(success: float, half: float = 0.05, time_s: float | None = None) -> dict[str, Any]:
-    """Of a planner less the policy."""
+    """Differences of a planner to the policy."""
 
     def difference(value: float | None, half: float) -> dict[str, Any]:
         if value is None:

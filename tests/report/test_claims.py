@@ -105,7 +105,7 @@ def test_the_behaviour_index_is_read_from_the_drives(traces: list[Trace]) -> Non
 
 def test_what_was_not_driven_is_not_tested(traces: list[Trace]) -> None:
     table = made_up()
-    push = judged(table[table["setting"] == "push"], [trace for trace in traces if trace.family == "push"])
+    push = judged(table[table["setting"] == "push"], [trace for trace in traces if trace.setting == "push"])
     assert push[1].verdict != "not tested"
     assert all(push[number].verdict == "not tested" for number in (4, 5, 6, 7, 8, 9))
     alone = judged(table[table["planner"] == "adaptive"], traces)
@@ -127,7 +127,7 @@ def test_what_a_planner_is_called_changes_no_verdict(traces: list[Trace]) -> Non
     renamed = made_up().assign(planner=lambda table: table["planner"].map(called))
     found, as_usual = judged(renamed, traces, {"fixed_short": 0.0, "nan": 6.0}), judged(made_up(), traces)
     assert {n: claim.verdict for n, claim in found.items()} == {n: claim.verdict for n, claim in as_usual.items()}
-    assert found[3].findings[0].text == "reward less that of fixed short (0 s)"
+    assert found[3].findings[0].text == "reward minus that of fixed short (0 s)"
     unknown = judged(made_up(), traces, {})  # they sound like fixed horizons, and are none
     assert {claim.verdict for claim in unknown.values()} == {"not tested"}
 
@@ -143,7 +143,7 @@ def test_a_single_episode_is_not_enough_to_tell(traces: list[Trace]) -> None:
 
 def test_claims_of_the_papers_settings_are_not_tested_in_others(traces: list[Trace]) -> None:
     elsewhere = made_up().assign(setting="elsewhere")
-    found = judged(elsewhere, [replace(trace, family="elsewhere") for trace in traces])
+    found = judged(elsewhere, [replace(trace, setting="elsewhere") for trace in traces])
     assert {claim.verdict for claim in found.values()} == {"not tested"}
 
 
@@ -153,9 +153,9 @@ def test_the_decisive_figure_is_the_clearest_against_the_claim_else_the_closest(
     against, closest = judged(made_up(drives), traces)[3].decisive, judged(made_up(), traces)[3].decisive
     assert against is not None
     assert closest is not None
-    assert (against.text, against.verdict) == ("reward less that of fixed 6 s", "does not hold")
+    assert (against.text, against.verdict) == ("reward minus that of fixed 6 s", "does not hold")
     assert against.margin == pytest.approx(-4, abs=1)
-    assert (closest.text, closest.verdict) == ("reward less that of fixed 0 s", "holds")
+    assert (closest.text, closest.verdict) == ("reward minus that of fixed 0 s", "holds")
     assert judged(made_up(), traces)[10].decisive is None
 
 

@@ -9,7 +9,7 @@ from tracked import RecordedRun
 
 from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.comparison import versus_adaptive
-from negopipe.evaluation.metrics import summary
+from negopipe.evaluation.measures import summary
 from negopipe.report.description import log_summary, run_description
 
 
@@ -54,7 +54,7 @@ def test_a_policy_from_elsewhere_is_named() -> None:
         ["+experiment=mixture", "stages=[evaluate]", "checkpoint=pretrained", "evaluation/baseline=[]"]
     )
     assert "the policy of checkpoint pretrained." in run_description(config)
-    assert run_description(config).endswith("each of mixture and mixture switching, against nobody.")
+    assert run_description(config).endswith("each of mixture and mixture switching, against no baseline.")
 
 
 def test_what_is_not_evaluated_is_not_said_to_be() -> None:

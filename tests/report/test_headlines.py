@@ -76,7 +76,9 @@ def test_first_headline_is_about_all_settings() -> None:
     (verdict, detail), *others = headlines(evaluation, differences, FIXED_S)
     assert "succeeds more reliably than fixed 6" in verdict
     detail = detail.replace("\N{NO-BREAK SPACE}", " ")
-    assert "weakest, adaptive succeeds in 97.0 % of the episodes of yield; fixed 6 s succeeds in 10.0 %" in detail
+    assert (
+        "weakest settings, adaptive succeeds in 97.0 % of the episodes of yield; fixed 6 s succeeds in 10.0 %" in detail
+    )
     assert [verdict.split(":")[0] for verdict, _ in others] == ["Yield", "Push"]
     evaluation["push"]["fixed_6"] = measures(0.95, 0.0, 15.0)
     level, rewards = headlines(evaluation, differences, FIXED_S)[0]

@@ -20,7 +20,7 @@ from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP
 from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes_file import EPISODES
-from negopipe.evaluation.metrics import summary
+from negopipe.evaluation.measures import summary
 from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
 from negopipe.report import labels
@@ -90,19 +90,19 @@ def seen(traces: dict[str, list[Trace]]) -> dict[str, dict[int, PolicyTrace]]:
     return found
 
 
-def test_everything_is_written_and_logged(
+def test_the_report_is_written_and_logged(
     run: RecordedRun, driven: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(report, "record_policies", lambda config, run, traces: seen(traces))
     report.run(Config(n_animations=1, side_by_side=("fixed_0", "fixed_6")), run)
     page = (run.folder / "report.html").read_text()
-    for section in ("Results", "Planners compared", "Negotiations", "Watch it", "Behaviour", "Training"):
+    for section in ("Results", "Planners compared", "Negotiations", "Animations", "Behaviour", "Training"):
         assert f"<h2>{section}</h2>" in page
-    assert "<h2>How it was made</h2>" in page
+    assert "<h2>Provenance</h2>" in page
     assert "name: push" in page
     images = re.findall(r'<img src="(data:image/[a-z+]+);', page)
     assert images.count("data:image/svg+xml") == 9
-    # in each setting a typical one, the worst, and one side by side; and what the training mastered when
+    # per setting: typical, lowest return and side by side; and the outcomes during training
     assert images.count("data:image/gif") == 7
     assert run.artifacts == [
         ("claims.json", ""),
@@ -160,9 +160,9 @@ def test_any_planners_of_any_name_make_a_report(
         run,
         own,
         [
-            replace(trace.first(1), planner=called[trace.planner], family=setting)
+            replace(trace.first(1), planner=called[trace.planner], setting=setting)
             for trace in traces
-            if trace.family == "push" and trace.planner in called
+            if trace.setting == "push" and trace.planner in called
         ],
     )
     config = Config(side_by_side=tuple(name for name, _ in planners.values()), animation_fps=1)
@@ -188,17 +188,17 @@ def test_a_browser_shows_it_all_without_errors_or_scrolling_sideways(run: Record
         assert "CONSOLE" not in log
 
 
-def test_options_act(run: RecordedRun) -> None:
+def test_the_options_of_the_report_have_effects(run: RecordedRun) -> None:
     report.run(Config(figure_formats=("svg",)), run)
     assert {path.suffix for path in (run.folder / "figures").glob("*.*")} == {".svg"}
     page = (run.folder / "report.html").read_text()
     assert page.count("data:image/gif") == 1  # of the training, no episode
     assert "Learning curves" in page
-    assert "Success against every style" not in page  # each setting has one style
-    assert "When two horizons meet" not in page  # nobody has drawn the map
+    assert "Success rate by social style" not in page  # each setting has one style
+    assert "Behaviour map" not in page
 
 
-def test_what_is_shown_depends_on_what_there_is(run: RecordedRun, table: pd.DataFrame) -> None:
+def test_figures_depend_on_the_files_of_the_run(run: RecordedRun, table: pd.DataFrame) -> None:
     varied = table.assign(style_horizon_s=table["episode"].mod(2) * 6.0)
     varied.to_csv(run.folder / "episodes.csv", index=False)
     (run.folder / "history.csv").unlink()
@@ -211,8 +211,8 @@ def test_what_is_shown_depends_on_what_there_is(run: RecordedRun, table: pd.Data
     pd.DataFrame(cells).to_csv(run.folder / "behaviour_map.csv", index=False)
     report.run(Config(), run)
     page = (run.folder / "report.html").read_text()
-    assert "Success against every style" in page
-    assert "When two horizons meet" in page
+    assert "Success rate by social style" in page
+    assert "Behaviour map" in page
     assert "Coming closer: holds in 1 of 1 (push against 0 s)" in page
     assert "was not trained in this run" in page
     assert "Learning curves" not in page

@@ -20,10 +20,10 @@ def test_rates_have_intervals_and_the_best_is_marked() -> None:
     assert (timeout.interval, timeout.is_best) == ("", False)
 
 
-def test_what_there_is_none_of_is_none() -> None:
+def test_a_missing_measure_is_printed_as_none() -> None:
     _, drove, *_ = tables(MEASURES, {"fixed_0": versus(-0.9)}, {}, FIXED_S)
-    column = drove.columns.index("time of arrivals [s]")
-    assert [row.cells[column].text for row in drove.rows] == ["14.0", "none"]
+    column = drove.columns.index("driving time [s]")
+    assert [row.cells[column].text for row in drove.rows] == ["14.00", "none"]
     assert not any(cell.is_best for row in drove.rows for cell in row.cells)
 
 
@@ -36,9 +36,9 @@ def test_differences_carry_their_sign_and_interval() -> None:
     assert len(tables({"adaptive": MEASURES["adaptive"]}, {}, {}, FIXED_S)) == 3
 
 
-def test_what_is_lacking_to_the_oracle_is_shown_where_it_drove() -> None:
-    lacking = {name: {"value": value, "low": value - 0.1, "high": value + 0.1, "n_tasks": 64} for name, value in REGRET}
-    *_, regret = tables(MEASURES, {}, lacking, FIXED_S)
+def test_the_regret_is_shown_where_the_oracle_drove() -> None:
+    regrets = {name: {"value": value, "low": value - 0.1, "high": value + 0.1, "n_tasks": 64} for name, value in REGRET}
+    *_, regret = tables(MEASURES, {}, regrets, FIXED_S)
     adaptive, fixed = regret.rows
     assert adaptive.cells == [Cell("0.50", "0.40 to 0.60", True), Cell("64")]
     assert fixed.cells[0] == Cell("5.75", "5.65 to 5.85", False)
@@ -51,7 +51,7 @@ def test_equal_numbers_are_not_marked() -> None:
     assert not any(row.cells[0].is_best for row in ended.rows)
 
 
-def test_who_drove_fewer_is_named() -> None:
+def test_planners_with_fewer_episodes_are_named() -> None:
     assert n_episodes(MEASURES, FIXED_S) == "100 episodes each"
     few = MEASURES | {"level_k": measures(1.0, 0.0, 9.0, n=8)}
     assert n_episodes(few, FIXED_S) == "100 episodes each (level k 8, the first ones)"

@@ -16,7 +16,7 @@ from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, claims, trends
 from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.metrics import episodes
+from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.safety import footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES
 from negopipe.game.game import Game, build_game
@@ -59,7 +59,7 @@ def test_rows_agree_with_the_drives(ran: RecordedRun) -> None:
         tasks = behaviour_map.map_tasks(config, game, "push", row["social_style_s"])
         choose = fixed_horizon(row["ego_horizon_s"])
         trace = drive_episodes(game, by_horizon(game, choose), tasks, 1, config.evaluation.reward, ("again", "push"))
-        again = episodes(trace, config.scenario.road.corridor_length_m)
+        again = episodes(Drives.of(config, trace))
         shares = again["outcome"].value_counts(normalize=True)
         for outcome, name in columns.items():
             assert row[name] == shares.get(outcome, 0.0), name
@@ -140,7 +140,7 @@ def test_the_figure_shows_the_numbers(ran: RecordedRun) -> None:
     assert len(shown) == 2 * len(push)
     for row in push.to_dict("records"):
         assert f"{row['smallest_gap_m']:.2f} m" in shown
-    assert ("nobody" in shown) == push["ego_passes_first_rate"].isna().any()
+    assert ("none" in shown) == push["ego_passes_first_rate"].isna().any()
     assert {text.get_text() for text in outcomes.texts} <= {f"{n}" for n in range(30, 101)}
     assert outcomes.get_title(loc="left") == "Push: outcomes [%]"
 

@@ -123,7 +123,7 @@ def test_what_comes_with_negopipe_is_left_out_elsewhere(
     with caplog.at_level("INFO", "negopipe"):
         evaluated(with_its_oracle(Path("pretrained"), "scenario.episode_steps=128", other), tmp_path)
     assert set(pd.read_csv(tmp_path / "episodes.csv")["planner"]) == {"adaptive", "fixed_0"}
-    assert "push       without oracle: what comes with negopipe was found for another road" in caplog.text
+    assert "push       without oracle: the table that comes with negopipe is for another road" in caplog.text
 
 
 def test_a_row_per_task_and_measures_that_agree(ran: RecordedRun) -> None:
