@@ -8,5 +8,4 @@ python -m negopipe -m +experiment=yield name=ablation_algorithm stages=[train,ev
 python -m negopipe -m +experiment=yield name=ablation_algorithm stages=[train,evaluate] evaluation/baseline=[] \
     evaluation.n_episodes=1000 curriculum=none curriculum.stages.0.n_iterations=200 \
     algorithm.n_worlds=64 algorithm.n_steps=32 algorithm=acktr_adam,a2c,ppo seed=1,2,3
-python -m negopipe.sweeping.learning_curves outputs/ablation_algorithm --by algorithm.kind
-python -m negopipe name=ablation_algorithm_report stages=[report] runs=ablation_algorithm
+python -m negopipe.sweeping.compare outputs/ablation_algorithm --by algorithm.kind --every 5

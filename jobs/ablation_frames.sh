@@ -4,5 +4,4 @@
 set -euo pipefail
 python -m negopipe -m +experiment=mixture name=ablation_frames stages=[train,evaluate] evaluation/baseline=[] \
     evaluation.n_episodes=1000 observation.n_frames=1,2,4 seed=1,2,3 curriculum.stages.0.n_iterations=150
-python -m negopipe.sweeping.learning_curves outputs/ablation_frames --by observation.n_frames
-python -m negopipe name=ablation_frames_report stages=[report] runs=ablation_frames
+python -m negopipe.sweeping.compare outputs/ablation_frames

@@ -4,4 +4,4 @@
 set -euo pipefail
 python -m negopipe -m +experiment=yield name=ablation_reward stages=[train,evaluate] \
     evaluation/baseline=[] evaluation.n_episodes=1000 reward=paper,strict seed=1,2,3
-python -m negopipe name=ablation_reward_report stages=[report] runs=ablation_reward
+python -m negopipe.sweeping.compare outputs/ablation_reward

@@ -24,9 +24,9 @@ class Baseline(ABC):
     """Its driver is asked for all worlds of a batch at every decision, in their order."""
 
     @property
-    def horizons_s(self) -> tuple[float, ...]:
-        """Prediction horizons that it may use."""
-        return ()
+    def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:
+        """Prediction horizons that its driver may use, by the name of the field."""
+        return {}
 
     @property
     def times_s(self) -> dict[str, float]:

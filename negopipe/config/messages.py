@@ -27,6 +27,7 @@ from omegaconf.errors import (
 )
 from pydantic import ValidationError
 
+from negopipe.config.renamed import renaming, renaming_in
 from negopipe.errors import abbreviate
 
 LONGEST_LINE = 400
@@ -94,10 +95,12 @@ def explain_composition(error: Exception) -> str:
 
 
 def _explanation(error: Exception) -> str:
+    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
+    if line := _renaming(error, cause):
+        return line
     if isinstance(error, MissingConfigException) and error.options is not None:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         return f"{group} must be one of {', '.join(sorted(error.options))}, got {option}"
-    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(error, InterpolationResolutionError):
         return f"{error.full_key} cannot be resolved: {str(error).splitlines()[0]}"
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and OmegaConf.is_dict(cause.parent_node):
@@ -109,6 +112,16 @@ def _explanation(error: Exception) -> str:
     if isinstance(error, MissingMandatoryValue):
         return f"{error.full_key} is missing"
     return " ".join(str(error).replace("\\'", "'").split())
+
+
+def _renaming(error: Exception, cause: BaseException | None) -> str | None:
+    """The line for an old name, where that is what was not found."""
+    if isinstance(error, MissingConfigException):
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        return renaming(f"{group}={option}")
+    if isinstance(cause, ConfigAttributeError | ConfigKeyError):
+        return renaming(str(cause.full_key))
+    return renaming_in(str(error))
 
 
 def _unreadable(error: OverrideParseException) -> str:

@@ -12,6 +12,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from negopipe.benchmark.speed import BenchmarkConfig
 from negopipe.config.capacity import check_sizes, grid_sides
 from negopipe.config.messages import explain_composition, explain_validation, misread
+from negopipe.config.renamed import renamings
 from negopipe.errors import UserError, abbreviate
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
@@ -23,7 +24,7 @@ from negopipe.observation.occupancy_grid import ObservationConfig
 from negopipe.planner.frenet import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.report.page import ReportConfig
-from negopipe.schema import Distinct, FileName, Label, PathText, PositiveInt, Seed, schema
+from negopipe.schema import Distinct, FileName, PathText, PositiveInt, Seed, schema
 from negopipe.search.oracle import OracleConfig
 from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
@@ -47,8 +48,7 @@ LONGEST_EPISODE_S = 3600.0
 
 
 RESULT_NEUTRAL = {
-    "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "runs",
-    "tracking",
+    "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "tracking",
 }  # fmt: skip
 """Keys that `run_name` leaves out of its hash: where a run is kept, which part of it runs now, how its
 results are shown. `n_threads` is among them because threads change rounding at most; `device` and `compile`
@@ -66,7 +66,6 @@ class RunConfig:
     objective: Annotated[tuple[str, ...], Field(min_length=1), Distinct]
     checkpoint: PathText | None
     episode: EpisodeText | None
-    runs: Label | None
     rerun: bool
     reuse: Literal["same_code", "any_code"]
     device: Literal["auto", "cpu", "cuda"]
@@ -104,6 +103,8 @@ def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
         values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
         if problem := misread(values):
             raise UserError(problem)
+        if old_names := renamings(values):
+            raise UserError("; ".join(old_names))
         config = TypeAdapter(RunConfig).validate_json(json.dumps(values), strict=True)
     except OmegaConfBaseException as error:
         raise UserError(explain_composition(error)) from error
@@ -126,7 +127,6 @@ def run_name(config: RunConfig) -> str:
     alone = set(config.stages) if len(config.stages) == 1 else set()
     others = set(get_args(Stage)) - alone
     relevant = {key: value for key, value in as_mapping(config).items() if key not in RESULT_NEUTRAL | others}
-    relevant |= {} if config.runs is None else {"runs": config.runs}  # a report on other runs has a folder of its own
     canonical = json.dumps(relevant, sort_keys=True, separators=(",", ":"))
     return f"seed{config.seed}-{hashlib.sha256(canonical.encode()).hexdigest()[:8]}"
 
@@ -153,9 +153,9 @@ def _check_horizons(config: RunConfig) -> None:
 def _horizons(config: RunConfig) -> dict[str, tuple[float, ...]]:
     """Prediction horizons of all that drives, s, by key."""
     horizons = {"policy.horizons_s": config.policy.horizons_s}
-    horizons |= {
-        f"evaluation.baselines.{name}": baseline.horizons_s for name, baseline in config.evaluation.baselines.items()
-    }
+    for name, baseline in config.evaluation.baselines.items():
+        used = baseline.prediction_horizons_s
+        horizons |= {f"evaluation.baselines.{name}.{key}": values for key, values in used.items()}
     places = {"scenario": config.scenario.families}
     places |= {f"curriculum.stages.{i}": stage.families for i, stage in enumerate(config.curriculum.stages)}
     for place, families in places.items():
@@ -218,8 +218,6 @@ def _check_evaluation(config: RunConfig) -> None:
             raise UserError(f"evaluation.baselines must not name one {name}, which is {who}")
     _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
     _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
-    if config.runs is not None and config.stages != ("report",):
-        raise UserError(f"stages must be [report] where runs names what is compared, got {list(config.stages)}")
     if "replay" in config.stages and config.episode is None:
         raise UserError("episode must be <setting>/<planner>/<number> for the stage replay, got null")
     if "report" in config.stages:

@@ -10,7 +10,6 @@ import negopipe
 from negopipe.config.root import RunConfig, as_mapping
 from negopipe.tracking.checkpoint import find_checkpoint
 from negopipe.tracking.pretrained import find_oracle
-from negopipe.tracking.run_folder import METRICS_NAME
 
 _GAME = ("seed", "device", "compile", "scenario", "perception", "dynamics", "planner", "observation", "policy")
 _TRAINING = (*_GAME, "reward", "algorithm", "curriculum")
@@ -69,9 +68,6 @@ def stage_key(config: RunConfig, stage: str) -> str:
     if config.evaluation.oracle is not None and stage in NEED_THE_ORACLE:
         path = find_oracle(config.evaluation.oracle)
         relevant["oracle.csv"] = _digest(path.read_bytes()) if path.is_file() else None
-    if config.runs is not None:
-        metrics = sorted(Path(config.outputs).absolute().glob(f"*/*/{METRICS_NAME}"))
-        relevant["runs"] = [config.runs, *(_digest(path.read_bytes()) for path in metrics)]
     return _digest(json.dumps(relevant, sort_keys=True).encode())
 
 

@@ -30,7 +30,6 @@ from negopipe.runtime.build import build, load_policy
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import EGO
-from negopipe.stages import report_runs
 from negopipe.stages.behaviour_map import MAP_NAME
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
 from negopipe.tensors.tree import map_tensors
@@ -52,8 +51,6 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     Raises UserError if a file that an earlier stage writes is missing, or if the planners that are shown side
     by side were not evaluated on the same tasks.
     """
-    if config.runs is not None:
-        return report_runs.run(config, tracked)
     metrics = read_metrics(tracked.folder)
     settings = settings_in_order(metrics["evaluation"], config.evaluation.leading_setting)
     shown = [ADAPTIVE, *config.report.side_by_side]

@@ -112,13 +112,13 @@ def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: f
 
 def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:
     """Whatever it is called."""
-    short = ["kind=fixed", "n_episodes=null", "horizon_s=1.5"]
+    short = ["kind=fixed", "n_episodes=null", "horizon_s=1.6"]
     overrides = [f"+evaluation.baselines.random_short.{value}" for value in short]
     evaluation = compose_config(
         ["evaluation/baseline=[fixed_6,cautious]", "report.side_by_side=[]", *overrides]
     ).evaluation
     assert list(evaluation.baselines) == ["fixed_6", "cautious", "random_short"]
-    assert evaluation.fixed_horizons_s == {"fixed_6": 6.0, "random_short": 1.5}
+    assert evaluation.fixed_horizons_s == {"fixed_6": 6.0, "random_short": 1.6}
 
 
 def test_only_horizons_that_a_baseline_names_are_used(
@@ -128,7 +128,8 @@ def test_only_horizons_that_a_baseline_names_are_used(
     short = replace(baselines["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]
     for baseline in (baselines | {"level_k": short}).values():
         horizon = drive(config, brief, baseline, task).horizon_s[:, :, 0]
-        assert set(horizon[~np.isnan(horizon)].tolist()) <= set(baseline.horizons_s)
+        named = {horizon_s for values in baseline.prediction_horizons_s.values() for horizon_s in values}
+        assert set(horizon[~np.isnan(horizon)].tolist()) <= named
 
 
 def test_random_horizons_depend_on_the_episode_alone(
@@ -155,10 +156,10 @@ def test_random_horizons_are_equally_likely_and_kept(game: Game, baselines: dict
     whole = drawn[: len(drawn) // n_kept * n_kept].unflatten(0, (-1, n_kept))
     assert (whole == whole[:, :1]).all()
     first = whole[:, 0]
-    for horizon in baseline.horizons:
-        assert (first == horizon).float().mean().item() == pytest.approx(1 / len(baseline.horizons), abs=0.02)
+    for horizon in baseline.horizons_s:
+        assert (first == horizon).float().mean().item() == pytest.approx(1 / len(baseline.horizons_s), abs=0.02)
     again = (first[1:] == first[:-1]).float().mean().item()
-    assert again == pytest.approx(1 / len(baseline.horizons), abs=0.02)
+    assert again == pytest.approx(1 / len(baseline.horizons_s), abs=0.02)
     longer = sequence(game, replace(baseline, keep_s=2 * baseline.keep_s), 400)
     assert not torch.equal(longer, drawn)
 

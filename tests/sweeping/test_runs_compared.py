@@ -1,20 +1,15 @@
 """Runs compared: who belongs together, what they are called, and what is said of them."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from browser import BROWSER, in_browser
 from swept import make_run
-from tracked import RecordedRun
 
 from negopipe.errors import UserError
-from negopipe.stages import report_runs
 from negopipe.sweeping.comparison import (
-    LONGEST_NAME,
     compare,
     curriculum_claim,
     find_runs,
@@ -137,44 +132,3 @@ def test_what_cannot_be_compared_is_said(outputs: Path) -> None:
     evaluated(outputs, 4, 0.2, 0.9, distance_m=13.0)
     with pytest.raises(UserError, match="drove other tasks"):
         read_groups(group(find_runs(outputs, "yield")))
-
-
-@pytest.fixture
-def reported(outputs: Path, tmp_path: Path) -> RecordedRun:
-    folder = tmp_path / "own"
-    folder.mkdir()
-    (folder / "config.yaml").write_text("runs: yield\n")
-    run = RecordedRun(folder)
-    report_runs.run(SimpleNamespace(outputs=str(outputs), runs="yield", seed=1), run)  # type: ignore[arg-type]
-    return run
-
-
-@pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
-def test_a_browser_shows_it_without_scrolling_sideways(long_names: None, reported: RecordedRun) -> None:
-    """Long names of configs stand in two tables beside each other, or below each other where there is no room."""
-    for width_px in (360, 1100, 1280):
-        measured, log = in_browser(reported.folder / "report.html", width_px)
-        assert measured["broken"] == measured["overlaps"] == 0
-        assert measured["shown"] <= measured["width"] <= width_px
-        assert "CONSOLE" not in log
-
-
-@pytest.fixture
-def long_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As long as they may be without becoming letters."""
-    longest = {"algorithm.rate=0.1": "a" * LONGEST_NAME, "algorithm.rate=0.2": "b" * LONGEST_NAME}
-    monkeypatch.setattr(report_runs, "short_names", lambda names: {name: longest[name] for name in names})
-
-
-def test_the_stage_writes_a_page(reported: RecordedRun) -> None:
-    page = (reported.folder / "report.html").read_text()
-    for text in (
-        "Over seeds",
-        "Every seed",
-        "algorithm.rate=0.2, seed 3",
-        "Learning curves",
-        "more reward than the first",
-    ):
-        assert text in page
-    assert "The paper's claims" not in page
-    assert reported.description.startswith("Push: algorithm.rate=0.2")
