@@ -31,7 +31,7 @@ from yaml import YAMLError
 
 from negopipe import CONF, environment
 from negopipe.config import hydra_targets
-from negopipe.config.messages import LONGEST_LINE, explain_composition, misread
+from negopipe.config.messages import LONGEST_LINE, explain_composition
 from negopipe.errors import UserError, abbreviate
 from negopipe.sweeping import optuna_sweeper
 
@@ -52,7 +52,7 @@ do: Hydra prints a line of its own about a job that raises, and of a sweep it te
 
 DISK_FAULTS = {
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),  # no room
-    *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR),  # no right, no folder
+    *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.ENAMETOOLONG),  # no right, no folder
 }
 GOES_ON = "what was finished is kept and the same command goes on from there"
 
@@ -117,7 +117,7 @@ def run_stages(composed: DictConfig) -> float | None:
     from negopipe.training.reuse import take_over_training
 
     config = load(composed, HydraConfig.get().overrides.task)
-    _check_places(config)
+    _check_folder()
     # all code is loaded now, so that what is edited during a long run does not end up in it
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
@@ -152,14 +152,12 @@ def run_stages(composed: DictConfig) -> float | None:
     return objective(read(run.folder / METRICS_NAME), config.objective)
 
 
-def _check_places(config: "RunConfig") -> None:
-    """UserError where the run would write elsewhere than it is told, or into a folder whose name is no text."""
+def _check_folder() -> None:
+    """UserError where the run would write elsewhere than it is told."""
     if HydraConfig.get().job.chdir:
         raise UserError(
             "hydra.job.chdir must be false, got true: relative paths are relative to where the command is given"
         )
-    if problem := misread(str(Path(config.outputs).absolute()), "outputs"):  # this folder's own name, it may be
-        raise UserError(problem)
 
 
 def _say_where(config: "RunConfig", run: "TrackedRun") -> None:

@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import re
 import signal
 import sqlite3
@@ -95,11 +94,6 @@ def test_help_names_the_experiments_and_needs_no_torch() -> None:
         (["+seed=1"], "Could not append to config. An item is already at 'seed'."),
         (["seed=1,2"], "Ambiguous value for argument 'seed=1,2', use -m to sweep over them, 'seed=[1,2]' for a list, "),
         (["outputs=a=b"], """outputs=a=b cannot be read: mismatched input '=' expecting <EOF>, try 'outputs="a=b"'"""),
-        (
-            ["outputs=\udcc3\udca4"],
-            "outputs must be UTF-8, got \\udcc3",
-        ),
-        (["outputs='\udcc3'"], "outputs must be UTF-8, got \\udcc3"),
         (["name=2024_05"], """name must be a valid string, got 202405, try 'name="2024_05"'"""),
         (["runs=yield", "stages=[report]"], "runs is now python -m negopipe.sweeping.compare <outputs>/<name>"),
         (["outputs=null"], """outputs must be a valid string, got null, try 'outputs="null"'"""),
@@ -138,22 +132,6 @@ def test_a_sweep_is_told_where_it_may_not_change_folders(command: Command) -> No
     assert code == 1
     assert only_line(err).startswith("hydra.job.chdir must be false, got true")
     assert not list(Path.cwd().rglob("mlflow*"))
-
-
-def test_a_command_line_that_is_not_read_as_utf8_is_told_so(tmp_path: Path) -> None:
-    """... and one that is, where the output is not."""
-    latin = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    for outputs in ("outputs='ä'", "outputs=ä"):
-        call = [sys.executable, "-m", "negopipe", outputs]
-        result = subprocess.run(call, capture_output=True, text=True, cwd=tmp_path, env=latin, check=False)
-        said = "outputs must be UTF-8, which is read as ascii here (PYTHONUTF8=1 in front of it mends that), got "
-        assert only_line(result.stderr) == f"{said}\\udcc3\\udca4"
-    folder = tmp_path / "ä"
-    folder.mkdir()
-    call = [sys.executable, "-m", "negopipe"]
-    result = subprocess.run(call, capture_output=True, text=True, cwd=folder, env=latin, check=False)
-    assert only_line(result.stderr).startswith(said)
-    assert not list(folder.iterdir())
 
 
 def test_what_stdout_has_no_character_for_is_escaped(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,10 +5,8 @@ imports neither torch nor a component, so that a typing error is answered at onc
 """
 
 import difflib
-import json
 import re
 import shlex
-import sys
 import types
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -53,32 +51,6 @@ def as_text(override: str) -> str | None:
     except HydraException:
         return None
     return shlex.quote(quoted) if is_read else None
-
-
-def misread(values: Any, key: str = "") -> str | None:
-    """What JSON would change or refuse without naming a key: names that are no texts, texts that are no Unicode."""
-    if isinstance(values, Mapping):
-        odd = [name for name in values if not isinstance(name, str)]
-        if odd:
-            return f"{key} must have texts as names, got {json.dumps(odd[0])}: in double quotes it is a text"
-        found = (misread(value, f"{key}.{name}".lstrip(".")) for name, value in values.items())
-    elif isinstance(values, list):
-        found = (misread(value, f"{key}.{index}") for index, value in enumerate(values))
-    else:
-        return f"{key} {_UNREADABLE}, got {abbreviate(values)}" if _is_not_unicode(values) else None
-    return next(filter(None, found), None)
-
-
-_ENCODING = sys.getfilesystemencoding()
-_READ_AS = (
-    "" if _ENCODING == "utf-8" else f", which is read as {_ENCODING} here (PYTHONUTF8=1 in front of it mends that)"
-)
-_UNREADABLE = f"must be UTF-8{_READ_AS}"
-
-
-def _is_not_unicode(value: Any) -> bool:
-    """A command line that Python could not decode holds the bytes that it could not."""
-    return isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value)
 
 
 def unknown_key(key: str, allowed: Iterable[str]) -> str:
@@ -126,8 +98,6 @@ def _renaming(error: Exception, cause: BaseException | None) -> str | None:
 
 def _unreadable(error: OverrideParseException) -> str:
     override = str(error.override)
-    if _is_not_unicode(override):
-        return f"{abbreviate(override.partition('=')[0])} {_UNREADABLE}, got {abbreviate(override.partition('=')[2])}"
     quoted = as_text(override)
     return f"{abbreviate(override)} cannot be read: {str(error).splitlines()[0]}{f', try {quoted}' if quoted else ''}"
 

@@ -4,7 +4,7 @@ The claim: a shorter prediction horizon gives more aggressive driving, passing f
 (docs/reading.md, "claim 8").
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -12,11 +12,12 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from negopipe.checks import Memory, Problem, check_horizons
 from negopipe.evaluation.metrics import episodes
 from negopipe.evaluation.safety import footprints, smallest_gap
-from negopipe.evaluation.trace import OUTCOMES, Trace
+from negopipe.evaluation.trace import OUTCOMES, Trace, trace_bytes
 from negopipe.schema import Distinct, NonNegativeFloat, PositiveInt, schema
-from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.scenario import ScenarioConfig, VehicleConfig
 from negopipe.tracking.csv_file import CsvKind
 
 BEHAVIOUR_MAP = CsvKind(
@@ -52,6 +53,16 @@ class BehaviourMapConfig:
     horizons_s: DifferentHorizons
     styles_s: DifferentHorizons
     n_episodes: PositiveInt
+
+    def check(self, dt_s: float, plan_s: float) -> Iterator[Problem]:
+        """plan_s: length of a plan."""
+        horizons_s = {"behaviour_map.horizons_s": self.horizons_s, "behaviour_map.styles_s": self.styles_s}
+        yield from check_horizons(horizons_s, dt_s, plan_s)
+
+    def memory(self, scenario: ScenarioConfig) -> Memory:
+        """Memory of the trace of one pair of horizons."""
+        n_bytes = trace_bytes(self.n_episodes, scenario.episode_steps, 1 + scenario.n_social)
+        return Memory("the map", n_bytes, ("behaviour_map.n_episodes", "scenario.episode_steps", "scenario.n_social"))
 
 
 def cell(

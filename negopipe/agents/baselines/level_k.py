@@ -32,7 +32,7 @@ class Config(Baseline):
 
     kind: Literal["level_k"]
     horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
-    level: Annotated[PositiveInt, Field(le=10)]
+    level: PositiveInt
     lookahead_s: PositiveFloat
     keep_s: PositiveFloat
     collision_m: NonNegativeFloat
