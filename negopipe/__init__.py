@@ -3,6 +3,7 @@
 The map, lowest first: a package imports only what stands above it here, and itself.
 
     errors        the error that is the user's to mend
+    checks        what a component says of its own values: problems, memory
     environment   environment variables and the user's home
     schema        how a component declares its configuration
     tensors       batched tensors without anything of driving: trees, chunks, random streams, settings of torch

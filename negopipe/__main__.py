@@ -52,7 +52,7 @@ do: Hydra prints a line of its own about a job that raises, and of a sweep it te
 
 DISK_FAULTS = {
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),  # no room
-    *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR),  # no right, no folder
+    *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.ENAMETOOLONG),  # no right, no folder
 }
 GOES_ON = "what was finished is kept and the same command goes on from there"
 

@@ -15,7 +15,7 @@ LOWER = {"benchmark.speed": "search"}
 """Modules that stand lower than their package, beside another: the root config holds the benchmark's options."""
 
 APART = {
-    ("policy", "learning"): {"errors", "schema", "tensors", "policy", "learning"},
+    ("policy", "learning"): {"errors", "checks", "schema", "tensors", "policy", "learning"},
     ("simulation", "planner", "observation"): {"policy", "learning"},
 }
 """The learner sees tensors only (all that it may import); the game's rules know nothing of it (what they may not)."""

@@ -1,11 +1,13 @@
 """The planners that the policy is compared with: what each of them has to be."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from typing import ClassVar
 
 from torch import Tensor
 
 from negopipe.agents.driver import Driver
+from negopipe.checks import Problem, check_horizons, check_times
 from negopipe.game.game import Game
 from negopipe.schema import PositiveInt, schema
 
@@ -24,14 +26,20 @@ class Baseline(ABC):
     """Its driver is asked for all worlds of a batch at every decision, in their order."""
 
     @property
-    def horizons_s(self) -> tuple[float, ...]:
-        """Prediction horizons that it may use."""
-        return ()
+    def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:
+        """Prediction horizons that its driver may use, by the name of the field."""
+        return {}
 
     @property
     def times_s(self) -> dict[str, float]:
         """Its times that are counted in control steps, by the name of the field."""
         return {}
+
+    def check(self, key: str, dt_s: float, plan_s: float) -> Iterator[Problem]:
+        """key: of this baseline; plan_s: length of a plan."""
+        horizons_s = {f"{key}.{name}": values for name, values in self.prediction_horizons_s.items()}
+        yield from check_horizons(horizons_s, dt_s, plan_s)
+        yield from check_times({f"{key}.{name}": (time_s,) for name, time_s in self.times_s.items()}, dt_s)
 
     @property
     def fixed_horizon_s(self) -> float | None:

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field, model_validator
 
-from negopipe.schema import Distinct, PositiveInt, schema
+from negopipe.checks import N_COPIES, Memory
+from negopipe.schema import Distinct, PositiveFloat, PositiveInt, schema
 from negopipe.tensors.timing import block_seconds
 
 Backend = Literal["eager", "compiled", "cuda_eager", "cuda"]
@@ -28,9 +29,9 @@ class BenchmarkConfig:
     backends: Annotated[tuple[Backend, ...], Field(min_length=1), Distinct]
     n_worlds: Annotated[tuple[PositiveInt, ...], Field(min_length=1), Distinct]
     base_n_worlds: PositiveInt
-    n_warmups: Annotated[PositiveInt, Field(le=1000)]
-    n_repetitions: Annotated[PositiveInt, Field(le=1000)]
-    min_time_s: Annotated[float, Field(gt=0, le=3600)]
+    n_warmups: PositiveInt
+    n_repetitions: PositiveInt
+    min_time_s: PositiveFloat
     n_latencies: PositiveInt
     n_iterations: PositiveInt
 
@@ -40,6 +41,11 @@ class BenchmarkConfig:
             among = ", ".join(map(str, self.n_worlds))
             raise ValueError(f"base_n_worlds must be among n_worlds = {among}, got {self.base_n_worlds}")
         return self
+
+    def memory(self, n_observation: int) -> Memory:
+        """Memory of the observations of all worlds, `n_observation` bytes each."""
+        n_bytes = max(self.n_worlds) * n_observation * N_COPIES
+        return Memory("the benchmark", n_bytes, ("benchmark.n_worlds", "observation.n_frames", "observation.n_cells"))
 
 
 def seconds_per_call(call: Callable[[], Any], config: BenchmarkConfig, device: torch.device) -> float:

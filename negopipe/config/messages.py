@@ -27,6 +27,7 @@ from omegaconf.errors import (
 )
 from pydantic import ValidationError
 
+from negopipe.config.renamed import renaming, renaming_in
 from negopipe.errors import abbreviate
 
 LONGEST_LINE = 400
@@ -80,14 +81,8 @@ def _is_not_unicode(value: Any) -> bool:
     return isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value)
 
 
-REMOVED = {"runs": "python -m negopipe.sweeping.compare <outputs>/<name> compares"}
-"""Former keys, and what took their place."""
-
-
 def unknown_key(key: str, allowed: Iterable[str]) -> str:
     """`key` is a dotted path; `allowed` are the names that its last part could have."""
-    if key in REMOVED:
-        return f"{key} is no key any more: {REMOVED[key]}"
     names = sorted(allowed)
     near = difflib.get_close_matches(key.rpartition(".")[2], names, n=1)
     hint = f" did you mean {near[0]}?" if near else ""
@@ -100,10 +95,12 @@ def explain_composition(error: Exception) -> str:
 
 
 def _explanation(error: Exception) -> str:
+    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
+    if line := _renaming(error, cause):
+        return line
     if isinstance(error, MissingConfigException) and error.options is not None:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         return f"{group} must be one of {', '.join(sorted(error.options))}, got {option}"
-    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(error, InterpolationResolutionError):
         return f"{error.full_key} cannot be resolved: {str(error).splitlines()[0]}"
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and OmegaConf.is_dict(cause.parent_node):
@@ -117,10 +114,18 @@ def _explanation(error: Exception) -> str:
     return " ".join(str(error).replace("\\'", "'").split())
 
 
+def _renaming(error: Exception, cause: BaseException | None) -> str | None:
+    """The line for an old name, where that is what was not found."""
+    if isinstance(error, MissingConfigException):
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        return renaming(f"{group}={option}")
+    if isinstance(cause, ConfigAttributeError | ConfigKeyError):
+        return renaming(str(cause.full_key))
+    return renaming_in(str(error))
+
+
 def _unreadable(error: OverrideParseException) -> str:
     override = str(error.override)
-    if _is_not_unicode(override):
-        return f"{abbreviate(override.partition('=')[0])} {_UNREADABLE}, got {abbreviate(override.partition('=')[2])}"
     quoted = as_text(override)
     return f"{abbreviate(override)} cannot be read: {str(error).splitlines()[0]}{f', try {quoted}' if quoted else ''}"
 

@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
+from operator import attrgetter
 from typing import Annotated, Any, Literal, get_args
 
 from omegaconf import DictConfig, OmegaConf
@@ -10,41 +11,34 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field, TypeAdapter, ValidationError
 
 from negopipe.benchmark.speed import BenchmarkConfig
-from negopipe.config.capacity import check_sizes, grid_sides
+from negopipe.checks import Memory, Problem
 from negopipe.config.messages import explain_composition, explain_validation, misread
+from negopipe.config.renamed import renamings
 from negopipe.errors import UserError, abbreviate
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
-from negopipe.evaluation.trace import ADAPTIVE, ORACLE
 from negopipe.game.curriculum import CurriculumConfig
+from negopipe.game.game import CHUNKS
 from negopipe.game.reward import RewardConfig
 from negopipe.learning.learner import AlgorithmConfig
-from negopipe.observation.occupancy_grid import ObservationConfig
+from negopipe.observation.occupancy_grid import ObservationConfig, history_steps
 from negopipe.planner.frenet import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
+from negopipe.policy.size import check_policy, layer_sizes, network_memory
 from negopipe.report.page import ReportConfig
-from negopipe.schema import Distinct, FileName, PathText, PositiveInt, Seed, schema
+from negopipe.schema import FileName, PathText, PositiveInt, Seed, schema
 from negopipe.search.oracle import OracleConfig
-from negopipe.simulation.dynamics import BicycleConfig, DynamicsConfig
+from negopipe.simulation.dynamics import DynamicsConfig
 from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.simulation.starts import check_starts
+from negopipe.simulation.state import world_memory
 from negopipe.tracking.store import TrackingConfig
 
 Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "benchmark"]
 
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 """<setting>/<planner>/<number>, columns of episodes.csv."""
-
-N_STEPS = 1000
-"""Of a plan, a delay or between two frames, at most: all are held in memory."""
-
-WHOLE = 1e-6
-"""Of control steps a time is a whole number, but for what floats round."""
-
-LONGEST_EPISODE_S = 3600.0
-"""Animations show episodes in real time, frame by frame."""
-
 
 RESULT_NEUTRAL = {
     "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "tracking",
@@ -61,8 +55,8 @@ class RunConfig:
     name: FileName
     seed: Seed
     outputs: PathText
-    stages: Annotated[tuple[Stage, ...], Field(min_length=1), Distinct]
-    objective: Annotated[tuple[str, ...], Field(min_length=1), Distinct]
+    stages: Annotated[tuple[Stage, ...], Field(min_length=1)]
+    objective: Annotated[tuple[str, ...], Field(min_length=1)]
     checkpoint: PathText | None
     episode: EpisodeText | None
     rerun: bool
@@ -102,6 +96,8 @@ def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
         values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
         if problem := misread(values):
             raise UserError(problem)
+        if old_names := renamings(values):
+            raise UserError("; ".join(old_names))
         config = TypeAdapter(RunConfig).validate_json(json.dumps(values), strict=True)
     except OmegaConfBaseException as error:
         raise UserError(explain_composition(error)) from error
@@ -128,136 +124,74 @@ def run_name(config: RunConfig) -> str:
     return f"seed{config.seed}-{hashlib.sha256(canonical.encode()).hexdigest()[:8]}"
 
 
+MOST_BYTES = 2**34
+"""At once, for one purpose: 16 GiB, hundreds of times what the defaults need. It does not ask what this machine has, so
+that a config is valid on every machine or on none."""
+
+
 def check_components(config: RunConfig) -> None:
-    """Conditions that no component can check alone; UserError names the first that does not hold."""
-    _check_horizons(config)
-    _check_times(config)
-    _check_grids(config)
-    check_sizes(config)
-    _check_evaluation(config)
-    _check_oracle(config)
-    _check_starts(config)
+    """Conditions on several values together; UserError names the first that does not hold."""
+    for problem in _problems(config):
+        raise UserError(f"{problem.key} must {problem.rule}, got {abbreviate(problem.value)}")
+    for memory in _memory(config):
+        if memory.n_bytes > MOST_BYTES:
+            by = ", ".join(f"{key} = {_size_at(config, key)}" for key in memory.keys)
+            allowed, asked = MOST_BYTES / 2**30, memory.n_bytes / 2**30
+            raise UserError(f"{memory.purpose} must take at most {allowed:g} GiB, got about {asked:.2g} GiB by {by}")
 
 
-def _check_horizons(config: RunConfig) -> None:
-    """Nobody predicts farther than plans reach: a longer horizon would act like H_plan under another name."""
-    planned = config.planner.horizon_s
-    for key, values in _horizons(config).items():
-        if max(values, default=0.0) > planned:
-            raise UserError(f"{key} must be at most planner.horizon_s = {planned}, got {max(values)}")
+def _problems(config: RunConfig) -> Iterator[Problem]:
+    """What the components say of their values."""
+    scenario, evaluation, stages = config.scenario, config.evaluation, set(config.stages)
+    dt_s, plan_s = scenario.dt_s, config.planner.horizon_s
+    yield from config.planner.check(dt_s)
+    yield from config.observation.check(dt_s)
+    yield from config.perception.check(dt_s)
+    yield from config.dynamics.check(dt_s)
+    yield from check_policy(config.policy, config.observation.n_cells, dt_s, plan_s)
+    yield from scenario.check(plan_s)
+    yield from config.curriculum.check(dt_s, plan_s)
+    yield from evaluation.check(scenario, plan_s)
+    driven = set(evaluation.settings)
+    if "replay" in stages and config.episode is None:
+        yield Problem("episode", "be <setting>/<planner>/<number> for the stage replay", None)
+    if "report" in stages:
+        yield from config.report.check(evaluation.baselines)
+    if "behaviour_map" in stages:
+        yield from config.behaviour_map.check(dt_s, plan_s)
+    if "oracle" in stages:
+        yield from config.oracle.check(scenario, evaluation.n_episodes, evaluation.reward)
+        driven |= set(config.oracle.settings)
+    families = {f"scenario.families.{name}": scenario.families[name] for name in sorted(driven)}
+    yield from check_starts(scenario, families, "scenario.ego_start_distance_m")
+    if "train" in stages:
+        yield from config.curriculum.check_training(scenario, config.reward)
 
 
-def _horizons(config: RunConfig) -> dict[str, tuple[float, ...]]:
-    """Prediction horizons of all that drives, s, by key."""
-    horizons = {"policy.horizons_s": config.policy.horizons_s}
-    horizons |= {
-        f"evaluation.baselines.{name}": baseline.horizons_s for name, baseline in config.evaluation.baselines.items()
-    }
-    places = {"scenario": config.scenario.families}
-    places |= {f"curriculum.stages.{i}": stage.families for i, stage in enumerate(config.curriculum.stages)}
-    for place, families in places.items():
-        for name, family in families.items():
-            key = f"{place}.families.{name}"
-            horizons[f"{key}.style_horizon_s"] = tuple(family.style_horizon_s)
-            if family.style_switch is not None:
-                horizons[f"{key}.style_switch.style_horizon_s"] = tuple(family.style_switch.style_horizon_s)
-    if "behaviour_map" in config.stages:
-        horizons["behaviour_map.horizons_s"] = tuple(config.behaviour_map.horizons_s)
-        horizons["behaviour_map.styles_s"] = tuple(config.behaviour_map.styles_s)
-    return horizons
+def _memory(config: RunConfig) -> Iterator[Memory]:
+    """What the components take at once."""
+    scenario, observation, stages = config.scenario, config.observation, set(config.stages)
+    dt_s, n_vehicles, n_actions = scenario.dt_s, 1 + scenario.n_social, len(config.policy.horizons_s)
+    n_chunk, n_steps, n_seen = CHUNKS["cpu"], scenario.episode_steps, observation.n_bytes
+    yield config.planner.memory(scenario, n_chunk)
+    yield observation.memory(2 * scenario.road.n_parked_per_side + n_vehicles, n_chunk)
+    remembered = config.perception.memory_steps(dt_s, history_steps(observation, dt_s))
+    yield world_memory(config.algorithm.n_worlds, n_vehicles, remembered, config.dynamics.delay_steps(dt_s))
+    layers = layer_sizes(config.policy, observation.n_frames, observation.n_cells)
+    yield network_memory(layers)
+    yield from config.algorithm.memory(layers, n_seen)
+    yield config.evaluation.memory(scenario)
+    if "train" in stages:
+        yield from config.curriculum.memory(n_steps, n_seen)
+    if "behaviour_map" in stages:
+        yield config.behaviour_map.memory(scenario)
+    if "oracle" in stages:
+        yield config.oracle.memory(n_actions, n_steps)
+    if "benchmark" in stages:
+        yield config.benchmark.memory(n_seen)
 
 
-def _check_times(config: RunConfig) -> None:
-    """What is predicted, remembered or passed on at control steps ends at one: else it would act like another time."""
-    dt, planned = config.scenario.dt_s, config.planner.horizon_s
-    if not dt <= planned <= N_STEPS * dt:
-        allowed = f"between scenario.dt_s = {dt} and {N_STEPS} times as much"
-        raise UserError(f"planner.horizon_s must be {allowed}, got {planned}")
-    n_steps = config.scenario.episode_steps
-    if n_steps * dt > LONGEST_EPISODE_S:
-        allowed = f"{LONGEST_EPISODE_S:g} s / scenario.dt_s = {LONGEST_EPISODE_S / dt:g}"
-        raise UserError(f"scenario.episode_steps must be at most {allowed}, got {n_steps}")
-    remembered = {
-        "observation.frame_interval_s": config.observation.frame_interval_s,
-        "perception.accel_window_s": config.perception.accel_window_s,
-        "perception.delay_s": config.perception.delay_s,
-    }
-    if isinstance(config.dynamics, BicycleConfig):
-        remembered["dynamics.actuation_delay_s"] = config.dynamics.actuation_delay_s
-    for key, time in remembered.items():
-        if time > (N_STEPS + 0.5) * dt:
-            raise UserError(f"{key} must be at most {N_STEPS} times scenario.dt_s = {dt}, got {time}")
-    times = {key: (time,) for key, time in {"planner.horizon_s": planned, **remembered}.items()}
-    for name, baseline in config.evaluation.baselines.items():
-        times |= {f"evaluation.baselines.{name}.{key}": (time,) for key, time in baseline.times_s.items()}
-    for key, values in (times | _horizons(config)).items():
-        for time in values:
-            n_steps = round(time / dt)
-            if abs(time / dt - n_steps) > WHOLE or (n_steps == 0 and time > 0):
-                raise UserError(f"{key} must be a multiple of scenario.dt_s = {dt}, got {time}")
-
-
-def _check_grids(config: RunConfig) -> None:
-    """The convolutions leave something of the grid."""
-    sides = grid_sides(config)
-    for index, (side, conv) in enumerate(zip(sides, config.policy.conv, strict=False)):
-        if conv.kernel > side:
-            limit = f"{side}, what is left there of observation.n_cells = {sides[0]}"
-            before = f" after stride {config.policy.conv[index - 1].stride}" if index else ""
-            raise UserError(f"policy.conv.{index}.kernel must be at most {limit}, got {conv.kernel}{before}")
-
-
-def _check_evaluation(config: RunConfig) -> None:
-    """What is evaluated, opened with and shown exists."""
-    settings = config.evaluation.settings
-    for name, who in {ADAPTIVE: "the policy", ORACLE: "what evaluation.oracle brings"}.items():
-        if name in config.evaluation.baselines:
-            raise UserError(f"evaluation.baselines must not name one {name}, which is {who}")
-    _require("evaluation.settings", settings, config.scenario.families, "scenario.families")
-    _require("evaluation.leading_setting", [config.evaluation.leading_setting], settings, "evaluation.settings")
-    if "replay" in config.stages and config.episode is None:
-        raise UserError("episode must be <setting>/<planner>/<number> for the stage replay, got null")
-    if "report" in config.stages:
-        _require("report.side_by_side", config.report.side_by_side, config.evaluation.baselines, "evaluation.baselines")
-
-
-def _check_oracle(config: RunConfig) -> None:
-    """The oracle's tasks are among the evaluated ones, and it may give up on what takes too long."""
-    if "oracle" in config.stages:
-        _require("oracle.settings", config.oracle.settings, config.scenario.families, "scenario.families")
-        limit = config.evaluation.n_episodes
-        if config.oracle.n_episodes > limit:
-            raise UserError(
-                f"oracle.n_episodes must be at most evaluation.n_episodes = {limit}, got {config.oracle.n_episodes}"
-            )
-        _check_searched("evaluation.reward", config.evaluation.reward, "the stage oracle")
-    if "train" in config.stages and config.curriculum.demonstrations is not None:
-        _check_searched("reward", config.reward, "curriculum.demonstrations")
-
-
-def _check_starts(config: RunConfig) -> None:
-    """No task that is driven is lost before it begins."""
-    searched = config.oracle.settings if "oracle" in config.stages else ()
-    names = {f"scenario.families.{name}": name for name in (*config.evaluation.settings, *searched)}
-    driven = {key: config.scenario.families[name] for key, name in names.items()}
-    check_starts(config.scenario, driven, "scenario.ego_start_distance_m")
-    if "train" in config.stages:
-        config.curriculum.check_starts(config.scenario)
-
-
-def _check_searched(key: str, paid: RewardConfig, user: str) -> None:
-    """What takes longer is paid less, which a search relies on."""
-    if paid.step > 0 or paid.collision > 0 or paid.success < 0:
-        raise UserError(
-            f"{key} must have step <= 0, collision <= 0 and success >= 0 for {user}, got "
-            f"{paid.step}, {paid.collision}, {paid.success}"
-        )
-
-
-def _require(key: str, values: Iterable[str], among: Iterable[str], source: str) -> None:
-    """All `values` are among those that the key `source` names."""
-    allowed = list(among)
-    for value in values:
-        if value not in allowed:
-            names = abbreviate(", ".join(allowed)) or "none"
-            raise UserError(f"{key} must be among {names}, got {abbreviate(value)}; {source} has no other")
+def _size_at(config: RunConfig, key: str) -> str:
+    """The value at a dotted key; of a list, how many items it has."""
+    value = attrgetter(key)(config)
+    return f"{len(value)} items" if isinstance(value, list | tuple | dict) else str(value)

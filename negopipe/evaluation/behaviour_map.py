@@ -4,7 +4,7 @@ Claim 8: a shorter prediction horizon gives more aggressive driving, that is pas
 (docs/reading.md, "claim 8").
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -12,9 +12,11 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from negopipe.checks import Memory, Problem, check_horizons
 from negopipe.evaluation.episodes_file import Drives, episodes
-from negopipe.evaluation.trace import OUTCOMES
+from negopipe.evaluation.trace import OUTCOMES, trace_bytes
 from negopipe.schema import Distinct, NonNegativeFloat, PositiveInt, schema
+from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.tracking.csv_file import CsvKind
 
 BEHAVIOUR_MAP = CsvKind(
@@ -56,6 +58,16 @@ class BehaviourMapConfig:
     horizons_s: DifferentHorizons
     styles_s: DifferentHorizons
     n_episodes: PositiveInt
+
+    def check(self, dt_s: float, plan_s: float) -> Iterator[Problem]:
+        """plan_s: length of a plan."""
+        horizons_s = {"behaviour_map.horizons_s": self.horizons_s, "behaviour_map.styles_s": self.styles_s}
+        yield from check_horizons(horizons_s, dt_s, plan_s)
+
+    def memory(self, scenario: ScenarioConfig) -> Memory:
+        """Memory of the trace of one pair of horizons."""
+        n_bytes = trace_bytes(self.n_episodes, scenario.episode_steps, 1 + scenario.n_social)
+        return Memory("the map", n_bytes, ("behaviour_map.n_episodes", "scenario.episode_steps", "scenario.n_social"))
 
 
 def cell(drives: Drives, ego_horizon_s: float, social_style_s: float) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Evaluation episodes: driving them to the end and recording them."""
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import numpy as np
@@ -9,11 +10,13 @@ from torch import Tensor
 
 from negopipe.agents.baselines import BaselineConfig
 from negopipe.agents.driver import Driver, HorizonDriver, MakeDriver, drive_together, own_style
+from negopipe.checks import Memory, Problem, check_names
 from negopipe.evaluation.names import FixedHorizons
-from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
+from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, ORACLE, OUTCOMES, Trace, trace_bytes
 from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, FileName, PathText, PositiveInt, Seed, schema
+from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.simulator import Events
 from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, Task, World
 from negopipe.tensors.tree import map_tensors, tree_where
@@ -36,6 +39,24 @@ class EvaluationConfig:
     oracle: PathText | None
     action: Literal["greedy", "sample"]
     reward: RewardConfig
+
+    def check(self, scenario: ScenarioConfig, plan_s: float) -> Iterator[Problem]:
+        """plan_s: length of a plan."""
+        for name, who in {ADAPTIVE: "the policy", ORACLE: "the planner that evaluation.oracle brings"}.items():
+            if name in self.baselines:
+                yield Problem("evaluation.baselines", f"not have the name of {who}", name)
+        yield from check_names("evaluation.settings", self.settings, scenario.families, "scenario.families")
+        leading = [self.leading_setting]
+        yield from check_names("evaluation.leading_setting", leading, self.settings, "evaluation.settings")
+        for name, baseline in self.baselines.items():
+            yield from baseline.check(f"evaluation.baselines.{name}", scenario.dt_s, plan_s)
+
+    def memory(self, scenario: ScenarioConfig) -> Memory:
+        """Memory of the traces of all planners in all settings."""
+        n_driven = self.n_episodes * len(self.settings) * (1 + len(self.baselines))
+        keys = "evaluation.n_episodes evaluation.settings evaluation.baselines scenario.episode_steps scenario.n_social"
+        n_bytes = trace_bytes(n_driven, scenario.episode_steps, 1 + scenario.n_social)
+        return Memory("the evaluation", n_bytes, tuple(keys.split()))
 
     @property
     def fixed_horizons_s(self) -> FixedHorizons:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from negopipe.checks import N_COPIES
 from negopipe.errors import UserError
 
 OUTCOMES = ("success", "collision", "deadlock", "timeout", "social_collision")
@@ -78,6 +79,15 @@ EPISODE_AXIS = {
     "horizon_s": 1, "is_full_braking": 1, "reward": 1,
 }  # fmt: skip
 """Array of a `Trace` -> its axis of episodes."""
+
+
+STEP_BYTES = 25
+"""Of one vehicle's step: its fields of shape [T, E, V]."""
+
+
+def trace_bytes(n_episodes: int, episode_steps: int, n_vehicles: int) -> int:
+    """Bytes of a `Trace` while it is put together."""
+    return n_episodes * episode_steps * n_vehicles * STEP_BYTES * N_COPIES
 
 
 _FORMAT = "negopipe traces 2"

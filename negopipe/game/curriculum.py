@@ -1,16 +1,17 @@
 """The curriculum of Algorithm 1: stages (K_i, D_i), each a number of iterations and a distribution of tasks."""
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Annotated, Any
 
 from pydantic import Field
 
+from negopipe.checks import Memory, Problem, check_horizons
 from negopipe.game.reward import RewardConfig
 from negopipe.learning.demonstrations import DemonstrationsConfig
 from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
-from negopipe.simulation.scenario import Families, ScenarioConfig
+from negopipe.simulation.scenario import Families, FamilyConfig, ScenarioConfig
 from negopipe.simulation.starts import check_starts
 
 
@@ -18,7 +19,7 @@ from negopipe.simulation.starts import check_starts
 class CurriculumStageConfig:
     """One stage.
 
-    name: demonstrations in the progress line and the learning curves
+    name: shown in the progress line and the learning curves
     n_iterations: K_i, iterations of collecting and updating
     families: D_i, the start-distance distribution per style and the weight of each style's tasks
     """
@@ -77,11 +78,31 @@ class CurriculumConfig:
             start_speed_mps=self.starts.start_speed_mps,
         )
 
-    def check_starts(self, evaluated: ScenarioConfig) -> None:
-        """UserError where a task that is trained on is lost before it begins."""
+    @property
+    def _families(self) -> dict[str, FamilyConfig]:
+        """All families of all stages, by key."""
         stages = enumerate(self.stages)
-        families = {f"curriculum.stages.{i}.families.{name}": f for i, s in stages for name, f in s.families.items()}
-        check_starts(self.scenario(evaluated), families, "curriculum.starts.ego_start_distance_m")
+        return {f"curriculum.stages.{i}.families.{name}": f for i, s in stages for name, f in s.families.items()}
+
+    def check(self, dt_s: float, plan_s: float) -> Iterator[Problem]:
+        """plan_s: length of a plan."""
+        for key, family in self._families.items():
+            yield from check_horizons(family.horizons_s(key), dt_s, plan_s)
+
+    def check_training(self, evaluated: ScenarioConfig, paid: RewardConfig) -> Iterator[Problem]:
+        """What a training asks for: tasks that are not lost before they begin, a reward that a search can climb."""
+        yield from check_starts(self.scenario(evaluated), self._families, "curriculum.starts.ego_start_distance_m")
+        if self.demonstrations is not None:
+            yield from paid.check_searchable("reward", "curriculum.demonstrations")
+
+    def memory(self, episode_steps: int, n_observation: int) -> Iterator[Memory]:
+        """Memory of the demonstrations, `n_observation` bytes each, with those that one iteration shows."""
+        if self.demonstrations is not None:
+            n_tasks = self.demonstrations.n_tasks * len(self.stages[-1].families)
+            n_shown = n_tasks * episode_steps + self.demonstrations.n_decisions
+            keys = "curriculum.demonstrations.n_tasks curriculum.demonstrations.n_decisions scenario.episode_steps"
+            keys += " observation.n_frames observation.n_cells"
+            yield Memory("the demonstrations", 2 * n_shown * n_observation, tuple(keys.split()))
 
 
 class Curriculum:

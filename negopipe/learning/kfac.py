@@ -23,14 +23,16 @@ in G (Grosse & Martens 2016, Sec. 3.1).
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
 from torch import Generator, Tensor, nn
 
+from negopipe.checks import FLOAT_BYTES, N_COPIES, N_TEMPORARIES, Memory
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
+from negopipe.policy.size import LayerSize
 from negopipe.schema import Fraction, PositiveFloat, PositiveInt, schema
 
 Layer = nn.Linear | nn.Conv2d
@@ -60,6 +62,30 @@ class KfacConfig:
     n_patches: PositiveInt
     inverse_interval: PositiveInt
     max_factor_size: PositiveInt
+
+    def blocks(self, n: int) -> tuple[int, int]:
+        """B and b of an input factor of width n: the fewest equal blocks of at most `max_factor_size`."""
+        return equal_blocks(n, self.max_factor_size)
+
+    def n_cut(self, n_positions: int) -> int:
+        """Samples that are cut into patches, for a convolution with so many positions."""
+        return math.ceil(self.n_patches / n_positions)
+
+    def memory(self, layers: Sequence[LayerSize], n_samples: int) -> Iterator[Memory]:
+        """Memory of the factors and of the patches that they are estimated from.
+
+        n_samples: decisions of a minibatch
+        """
+        n_factors = 0
+        for layer in layers:
+            n_blocks, size = self.blocks(layer.n_inputs + 1)
+            n_factors += n_blocks * size**2 + layer.n_outputs**2
+        keys = ("algorithm.kfac.max_factor_size", "policy.encoder_width", "policy.head_widths", "policy.conv")
+        yield Memory("the Fisher factors", n_factors * FLOAT_BYTES * N_TEMPORARIES, keys)
+        n_taken = min(self.n_statistics, n_samples)
+        patches = (min(n_taken, self.n_cut(layer.side**2)) * layer.side**2 * (layer.n_inputs + 1) for layer in layers)
+        keys = ("algorithm.kfac.n_patches", "algorithm.kfac.n_statistics", "policy.conv", "observation.n_cells")
+        yield Memory("the Fisher statistics", sum(patches) * FLOAT_BYTES * N_COPIES, keys)
 
 
 @dataclass(frozen=True)
@@ -148,8 +174,7 @@ class Kfac:
 
     def _enough(self, x: Tensor, d: Tensor) -> Tensor:
         """As many samples of a layer's input x as hold `n_patches` positions; all for a linear layer."""
-        positions = d[0, 0].numel()
-        return x if d.dim() == 2 else x[: -(-self.config.n_patches // positions)]
+        return x if d.dim() == 2 else x[: self.config.n_cut(d[0, 0].numel())]
 
     def _invert(self) -> None:
         """New inverses of all layers; a layer that cannot be inverted keeps its old one."""
@@ -274,10 +299,15 @@ def add_to_layer(layer: Layer, step: Tensor) -> None:
     layer.bias.add_(step[:, -1])  # type: ignore[union-attr]
 
 
+def equal_blocks(n: int, max_size: int) -> tuple[int, int]:
+    """The fewest equal blocks of at most `max_size` that hold n columns: how many, and their size."""
+    n_blocks = math.ceil(n / max_size)
+    return n_blocks, math.ceil(n / n_blocks)
+
+
 def _to_blocks(x: Tensor, max_size: int) -> Tensor:
     """Split the columns of x [M, n] into the fewest equal blocks of at most `max_size`: [B, M, b]."""
-    n_blocks = math.ceil(x.shape[1] / max_size)
-    size = math.ceil(x.shape[1] / n_blocks)
+    n_blocks, size = equal_blocks(x.shape[1], max_size)
     padded = F.pad(x, (0, n_blocks * size - x.shape[1]))
     return padded.view(len(x), n_blocks, size).transpose(0, 1)
 

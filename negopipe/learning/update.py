@@ -6,7 +6,7 @@ entropy           H    = -1/N sum_t sum_a pi(a|s_t) log pi(a|s_t)
 together          L    = L_pi + c_V L_V - c_H H
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Protocol
 
@@ -14,8 +14,10 @@ import torch
 from pydantic import model_validator
 from torch import Generator, Tensor
 
+from negopipe.checks import FLOAT_BYTES, N_COPIES, Memory
 from negopipe.learning.advantage import AdvantageConfig
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of
+from negopipe.policy.size import LayerSize
 from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt, schema
 
 
@@ -67,6 +69,21 @@ class UpdateConfig:
         if self.n_worlds * self.n_steps < 2:
             raise ValueError("n_worlds 1 times n_steps 1 must be at least 2: one advantage has no spread")
         return self
+
+    @property
+    def n_samples(self) -> int:
+        """Decisions of a minibatch, at most."""
+        return min(self.minibatch_size, self.n_worlds * self.n_steps)
+
+    def memory(self, layers: Sequence[LayerSize], n_observation: int) -> Iterator[Memory]:
+        """Memory of an iteration, for a network of such layers that sees `n_observation` bytes per decision."""
+        seen = ("observation.n_frames", "observation.n_cells")
+        n_bytes = 2 * self.n_worlds * self.n_steps * n_observation  # as collected, and in the order of learning
+        yield Memory("a rollout", n_bytes, ("algorithm.n_worlds", "algorithm.n_steps", *seen))
+        n_numbers = n_observation + sum(layer.n_outputs * layer.side**2 for layer in layers)
+        n_bytes = self.n_samples * n_numbers * FLOAT_BYTES * N_COPIES
+        keys = ("algorithm.minibatch_size", "algorithm.n_worlds", "algorithm.n_steps", *seen, "policy.conv")
+        yield Memory("a minibatch", n_bytes, keys)
 
     def step_share(self, progress: float) -> float:
         """Length of the steps relative to the start's, when the share `progress` of the training is done."""

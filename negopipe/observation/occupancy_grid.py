@@ -6,13 +6,14 @@ footprints are the only trace of the own speed, which the policy needs, and they
 vehicle since two footprints never share a place without a collision.
 """
 
+import math
+from collections.abc import Iterator
 from functools import reduce
-from typing import Annotated
 
 import torch
-from pydantic import Field
 from torch import Tensor
 
+from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Memory, Problem, check_times
 from negopipe.schema import NonNegativeMetres, PositiveFloat, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import Boxes
 from negopipe.simulation.perception import Perception
@@ -39,8 +40,27 @@ class ObservationConfig:
     cell_along_m: PositiveMetres
     cell_across_m: PositiveMetres
     behind_m: NonNegativeMetres
-    n_frames: Annotated[PositiveInt, Field(le=100)]
+    n_frames: PositiveInt
     frame_interval_s: PositiveFloat
+
+    @property
+    def n_words(self) -> int:
+        """K, machine words per row."""
+        return math.ceil(self.n_cells / WORD_BITS)
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of one observation, a byte per cell."""
+        return self.n_frames * self.n_cells**2
+
+    def check(self, dt_s: float) -> Iterator[Problem]:
+        yield from check_times({"observation.frame_interval_s": (self.frame_interval_s,)}, dt_s)
+
+    def memory(self, n_boxes: int, n_worlds: int) -> Memory:
+        """Memory of drawing `n_boxes` rectangles in `n_worlds` worlds."""
+        n_numbers = n_worlds * self.n_frames * self.n_cells * (self.n_words + 1) * n_boxes
+        keys = ("observation.n_cells", "observation.n_frames", "scenario.n_social", "scenario.road.n_parked_per_side")
+        return Memory("drawing the grids", n_numbers * FLOAT_BYTES * N_TEMPORARIES, keys)
 
 
 def frame_stride(config: ObservationConfig, dt_s: float) -> int:
@@ -74,7 +94,8 @@ class OccupancyGrid:
         self._stride = frame_stride(config, dt_s)
         cells = torch.arange(n, device=device)
         self._ahead = (n - cells - 0.5) * config.cell_along_m - config.behind_m  # [H] m, row centres
-        self._word_start = torch.arange(0, n, WORD_BITS, device=device)[:, None]  # [K, 1] first column of each word
+        starts = torch.arange(config.n_words, device=device) * WORD_BITS
+        self._word_start = starts[:, None]  # [K, 1] first column of each word
         self._shifts = torch.arange(0, WORD_BITS, NIBBLE_BITS, device=device, dtype=torch.int32)
         self._static = _static_boxes(road)  # fields [R], world frame
 

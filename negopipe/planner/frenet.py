@@ -6,12 +6,14 @@ stands last in every tensor: whatever is computed per vehicle runs on vector uni
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
 from pydantic import model_validator
 from torch import Tensor
 
+from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Memory, Problem, check_times
 from negopipe.planner.lateral import LateralCandidates, LateralConfig
 from negopipe.planner.longitudinal import LongitudinalCandidates, LongitudinalConfig, LongitudinalSamples
 from negopipe.planner.prediction import PredictedPath, PredictionConfig, predict
@@ -20,7 +22,7 @@ from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, 
 from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road, RouteState
-from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.scenario import ScenarioConfig, VehicleConfig
 from negopipe.simulation.state import Motion
 from negopipe.tensors.materialize import materialize
 from negopipe.tensors.tree import map_tensors
@@ -88,6 +90,37 @@ class PlannerConfig:
     cost: CostConfig
     prediction: PredictionConfig
 
+    def n_times(self, dt_s: float) -> int:
+        """T, control steps of a plan."""
+        return round(self.horizon_s / dt_s)
+
+    @property
+    def n_stations(self) -> int:
+        """S, points along a path at which it is checked against kerbs and parked cars."""
+        return int(self.limits.speed_max_mps * self.horizon_s / self.clearance.station_m) + 1
+
+    def touching_m(self, vehicle: VehicleConfig) -> float:
+        """Distance at which two footprints with their clearances can touch at all."""
+        clearance, half_length, half_width = self.clearance, vehicle.length_m / 2, vehicle.width_m / 2
+        beside = clearance.beside_m + clearance.beside_s * self.limits.speed_max_mps
+        return math.hypot(half_length, half_width) + math.hypot(half_length + clearance.ahead_m, half_width + beside)
+
+    def n_around(self, vehicle: VehicleConfig) -> int:
+        """K, points around a predicted vehicle at which a path is checked against it."""
+        return math.ceil(2 * self.touching_m(vehicle) / self.clearance.conflict_station_m) + 1
+
+    def check(self, dt_s: float) -> Iterator[Problem]:
+        yield from check_times({"planner.horizon_s": (self.horizon_s,)}, dt_s)
+
+    def memory(self, scenario: ScenarioConfig, n_worlds: int) -> Memory:
+        """Memory of one plan of every vehicle in `n_worlds` worlds."""
+        n_paths = n_worlds * (1 + scenario.n_social) * self.lateral.n_candidates
+        n_met = scenario.n_social * self.n_times(scenario.dt_s)
+        n_checks = n_met * (self.longitudinal.n_candidates + self.n_around(scenario.vehicle)) + self.n_stations
+        keys = "scenario.n_social planner.horizon_s scenario.dt_s planner.longitudinal.keep_fractions"
+        keys += " planner.lateral.offsets_m planner.clearance.station_m planner.clearance.conflict_station_m"
+        return Memory("a plan", n_paths * n_checks * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))
+
 
 class Paths(NamedTuple):
     """Lateral candidates that start at the present states.
@@ -120,13 +153,10 @@ class FrenetPlanner:
         device: torch.device | str = "cpu",
     ) -> None:
         self.config, self.road, self.vehicle, self.dt_s = config, road, vehicle, dt_s
-        n_times = round(config.horizon_s / dt_s)
-        self.times = torch.arange(1, n_times + 1, device=device) * dt_s
+        self.times = torch.arange(1, config.n_times(dt_s) + 1, device=device) * dt_s
         self.longitudinal = LongitudinalCandidates(config.longitudinal, self.times)
         self.lateral = LateralCandidates(config.lateral, road, device)
-        reach = config.limits.speed_max_mps * config.horizon_s
-        n_stations = int(reach / config.clearance.station_m) + 1
-        self.stations = torch.arange(1, n_stations + 1, device=device) * config.clearance.station_m
+        self.stations = torch.arange(1, config.n_stations + 1, device=device) * config.clearance.station_m
         self.roadside = Roadside(road, vehicle, _parked_clearance(config.clearance, self.stations))
         self._around = _stations_around(config, vehicle).to(device)  # [K] m
 
@@ -316,9 +346,5 @@ def _parked_clearance(config: ClearanceConfig, ahead: Tensor) -> Tensor:
 
 def _stations_around(config: PlannerConfig, vehicle: VehicleConfig) -> Tensor:
     """[K] m, evenly spread over the distances at which two footprints with their clearances can touch at all."""
-    clearance, limits = config.clearance, config.limits
-    half_length, half_width = vehicle.length_m / 2, vehicle.width_m / 2
-    beside = clearance.beside_m + clearance.beside_s * limits.speed_max_mps
-    reach = math.hypot(half_length, half_width) + math.hypot(half_length + clearance.ahead_m, half_width + beside)
-    n_steps = math.ceil(2 * reach / clearance.conflict_station_m)
-    return torch.linspace(-reach, reach, n_steps + 1)
+    reach = config.touching_m(vehicle)
+    return torch.linspace(-reach, reach, config.n_around(vehicle))

@@ -22,6 +22,10 @@ class LateralConfig:
     offsets_m: Annotated[list[Real], Field(min_length=1)]
     lengths_m: Annotated[list[PositiveMetres], Field(min_length=1)]
 
+    @property
+    def n_candidates(self) -> int:
+        return len(self.offsets_m) * len(self.lengths_m)
+
 
 class PathPoint(NamedTuple):
     """Points of paths in the route frame: offset d (m), slope d' and bend d'' (1/m) by s; every field [...]."""
@@ -41,7 +45,7 @@ class LateralCandidates:
     def __init__(self, config: LateralConfig, road: Road, device: torch.device | str = "cpu") -> None:
         self.road = road
         pairs = [(offset, length) for length in config.lengths_m for offset in config.offsets_m]
-        self.n_candidates = len(pairs)
+        self.n_candidates = config.n_candidates
         offsets, lengths = torch.tensor(pairs, device=device).T.contiguous()
         self.offset: Tensor = offsets[:, None]  # [L, 1] m
         self._length = lengths  # [L] m

@@ -31,6 +31,11 @@ class LongitudinalConfig:
     stop_durations_s: Annotated[list[PositiveFloat], Field(min_length=1)]
     settle_rate_hz: PositiveFloat
 
+    @property
+    def n_candidates(self) -> int:
+        n_stops = len(self.stop_distances_m) + len(self.stop_positions_m)
+        return len(self.keep_fractions) * len(self.keep_durations_s) + n_stops * len(self.stop_durations_s)
+
 
 class LongitudinalSamples(NamedTuple):
     """Candidates C sampled at T times; every field [C, T, N] float32, relative to the state planned from.
@@ -61,7 +66,7 @@ class LongitudinalCandidates:
         n_stops = len(config.stop_distances_m) + len(config.stop_positions_m)
         maps = [(duration, _keep(duration)) for _, duration in keep]
         maps += [(duration, _stop(duration)) for duration in config.stop_durations_s for _ in range(n_stops)]
-        self.n_candidates = len(maps)
+        self.n_candidates = config.n_candidates
         self._basis = [
             torch.stack([sampling_rows(times, duration, order) @ linear for duration, linear in maps])
             .to(device, torch.float32)[..., None]

@@ -24,7 +24,7 @@ class ConvConfig:
 
     channels: PositiveInt
     kernel: PositiveInt
-    stride: Annotated[PositiveInt, Field(le=100)]  # with a million torch does not come back
+    stride: PositiveInt
 
 
 @schema

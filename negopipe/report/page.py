@@ -2,7 +2,7 @@
 
 import base64
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,22 +10,26 @@ from typing import Annotated, Any, Literal
 import jinja2
 from pydantic import Field
 
+from negopipe.checks import Problem, check_names
 from negopipe.evaluation.hypothesis import Claim, Finding, Verdict
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.report.headlines import Difference, Measures, Versus
 from negopipe.report.labels import setting_label
 from negopipe.report.tables import Table, n_episodes, tables
-from negopipe.schema import Distinct, NonNegativeInt, PositiveInt, schema
+from negopipe.schema import NonNegativeInt, PositiveInt, schema
 
 
 @schema
 class ReportConfig:
     """Options of the report stage; `conf/report/html.yaml` says what each value means."""
 
-    figure_formats: Annotated[tuple[Literal["png", "svg", "pdf"], ...], Distinct]
+    figure_formats: tuple[Literal["png", "svg", "pdf"], ...]
     n_animations: NonNegativeInt
     animation_fps: Annotated[PositiveInt, Field(le=50)]  # a GIF's frames last hundredths of a second, two at least
-    side_by_side: Annotated[tuple[str, ...], Distinct]
+    side_by_side: tuple[str, ...]
+
+    def check(self, baselines: Iterable[str]) -> Iterator[Problem]:
+        yield from check_names("report.side_by_side", self.side_by_side, baselines, "evaluation.baselines")
 
 
 @dataclass(frozen=True)

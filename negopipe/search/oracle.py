@@ -10,6 +10,7 @@ at random and keeps the best. The result is not proven optimal; the gain of a do
 Axes: N tasks, C candidates per task and round, R sequences that are rolled out together, T decisions.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Annotated
@@ -18,9 +19,11 @@ import torch
 from pydantic import Field
 from torch import Generator, Tensor
 
+from negopipe.checks import N_COPIES, Memory, Problem, check_names
 from negopipe.game.game import Game, joint_horizon
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, PositiveInt, schema
+from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import Task, World
 from negopipe.tensors.tree import map_tensors, tree_where
 
@@ -36,6 +39,7 @@ BORROWED_CHANCE = 0.3
 """Probability that a candidate starts from the best sequence of a similar task, which often helps."""
 N_ALIKE = 8
 """Number of most similar tasks that a task borrows sequences from."""
+ACTION_BYTES = 8
 SAME_REWARD = 1e-6
 NEVER_S = 100.0
 STYLE_M_PER_S = 10.0
@@ -51,6 +55,25 @@ class OracleConfig:
     n_episodes: PositiveInt
     population: PositiveInt
     rounds: PositiveInt
+
+    def check(self, scenario: ScenarioConfig, n_evaluated: int, paid: RewardConfig) -> Iterator[Problem]:
+        """n_evaluated: tasks of the evaluation, the first of which are searched; paid: what the search maximises."""
+        yield from check_names("oracle.settings", self.settings, scenario.families, "scenario.families")
+        if self.n_episodes > n_evaluated:
+            rule = f"be at most evaluation.n_episodes = {n_evaluated}"
+            yield Problem("oracle.n_episodes", rule, self.n_episodes)
+        yield from paid.check_searchable("evaluation.reward", "the stage oracle")
+
+    def memory(self, n_actions: int, episode_steps: int) -> Memory:
+        """Memory of the sequences that are tried for all tasks of a setting."""
+        keys = ("oracle.n_episodes", "oracle.population", "policy.horizons_s", "scenario.episode_steps")
+        return Memory("the search", search_bytes(self.n_episodes, self.population, n_actions, episode_steps), keys)
+
+
+def search_bytes(n_tasks: int, population: int, n_actions: int, episode_steps: int, n_switches: int = 2) -> int:
+    """Bytes of the sequences that are played at once: a round's, or those of up to `n_switches` switches before it."""
+    n_sequences = max(population, n_actions ** (1 + n_switches))
+    return n_tasks * n_sequences * episode_steps * ACTION_BYTES * N_COPIES
 
 
 @dataclass(frozen=True)

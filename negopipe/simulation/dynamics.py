@@ -1,12 +1,14 @@
 """How a vehicle gets from its state to the one its driver wants a control step later: exactly, or as a car does."""
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Literal, Protocol
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
+from negopipe.checks import Problem, check_times
 from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.state import VehicleState
@@ -21,6 +23,13 @@ class PerfectConfig:
 
     kind: Literal["perfect"]
 
+    def check(self, dt_s: float) -> Iterator[Problem]:
+        yield from ()
+
+    def delay_steps(self, dt_s: float) -> int:
+        """D, control steps from a command to the actuators."""
+        return 0
+
 
 @schema
 class BicycleConfig:
@@ -33,11 +42,18 @@ class BicycleConfig:
     accel_time_constant_s: PositiveFloat
     steer_time_constant_s: PositiveFloat
     actuation_delay_s: NonNegativeFloat
-    n_substeps: Annotated[PositiveInt, Field(le=1000)]
+    n_substeps: PositiveInt
     position_gain_1ps2: NonNegativeFloat
     heading_distance_m: PositiveMetres
     lateral_gain_1pm2: NonNegativeFloat
     replan_distance_m: PositiveMetres
+
+    def check(self, dt_s: float) -> Iterator[Problem]:
+        yield from check_times({"dynamics.actuation_delay_s": (self.actuation_delay_s,)}, dt_s)
+
+    def delay_steps(self, dt_s: float) -> int:
+        """D, control steps from a command to the actuators."""
+        return round(self.actuation_delay_s / dt_s)
 
 
 DynamicsConfig = Annotated[PerfectConfig | BicycleConfig, Field(discriminator="kind")]
@@ -90,7 +106,7 @@ class Bicycle:
 
     def __init__(self, config: BicycleConfig, dt_s: float) -> None:
         self.config, self.dt_s = config, dt_s
-        self.delay_steps = round(config.actuation_delay_s / dt_s)
+        self.delay_steps = config.delay_steps(dt_s)
         self._substep_s = dt_s / config.n_substeps
         self._accel_share = 1 - math.exp(-self._substep_s / config.accel_time_constant_s)
         self._steer_share = 1 - math.exp(-self._substep_s / config.steer_time_constant_s)

@@ -4,12 +4,14 @@ Nothing else reaches a driver, so no driver can use what its vehicle would not h
 plan of the others are not here.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from negopipe.checks import Problem, check_times
 from negopipe.schema import Fraction, NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.state import VehicleState, World
@@ -28,6 +30,14 @@ class PerceptionConfig:
     range_m: PositiveMetres | None
     delay_s: NonNegativeFloat
     accel_window_s: PositiveFloat
+
+    def check(self, dt_s: float) -> Iterator[Problem]:
+        times_s = {"perception.delay_s": (self.delay_s,), "perception.accel_window_s": (self.accel_window_s,)}
+        yield from check_times(times_s, dt_s)
+
+    def memory_steps(self, dt_s: float, history_steps: int) -> int:
+        """Past states that a world must remember, for perceptions that hold `history_steps` past poses."""
+        return round(self.delay_s / dt_s) + max(history_steps, round(self.accel_window_s / dt_s))
 
 
 @dataclass(frozen=True)
@@ -110,7 +120,7 @@ class Sensor:
         self._window = round(config.accel_window_s / dt_s)
         self._window_s = self._window * dt_s
         self._n_sightings = 1 + max(history_steps, self._window)
-        self.memory_steps = self._delay + self._n_sightings - 1
+        self.memory_steps = config.memory_steps(dt_s, history_steps)
         stds = (config.position_std_m, config.yaw_std_rad, config.speed_std_mps)
         self._is_noisy = any(std > 0 for std in stds)
         self._sees_all = config.dropout_probability == 0 and config.range_m is None

@@ -1,10 +1,10 @@
 """The road: kerbs, parked cars, the corridor between them, and the route that a vehicle follows through it."""
 
 import math
-from typing import Annotated, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from torch import Tensor
 
 from negopipe.schema import NonNegativeMetres, PositiveInt, PositiveMetres, schema
@@ -21,7 +21,7 @@ KERB_STEP_M = 0.5
 class RoadConfig:
     """Sizes of the road in metres; see `conf/scenario/narrow_lane.yaml` for each one's meaning."""
 
-    bends: Annotated[list[BendConfig], Field(max_length=20)]
+    bends: list[BendConfig]
     width_m: PositiveMetres
     lane_offset_m: PositiveMetres
     corridor_length_m: PositiveMetres
@@ -29,7 +29,7 @@ class RoadConfig:
     parked_sides: Literal["both", "left", "right"]
     parked_car_length_m: PositiveMetres
     parked_car_width_m: PositiveMetres
-    n_parked_per_side: Annotated[PositiveInt, Field(le=100)]
+    n_parked_per_side: PositiveInt
     swerve_length_m: PositiveMetres
     swerve_margin_m: NonNegativeMetres
     target_distance_m: PositiveMetres

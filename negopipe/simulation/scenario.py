@@ -1,6 +1,7 @@
 """Tasks: which vehicles start where, how fast, and in which driving style."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple
@@ -9,6 +10,7 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
+from negopipe.checks import Problem, check_horizons
 from negopipe.errors import UserError
 from negopipe.schema import (
     FileName,
@@ -87,6 +89,13 @@ class FamilyConfig:
             raise ValueError(f"gaps_m must leave some of start_distance_m = {[low, high]}, got {got}")
         return self
 
+    def horizons_s(self, key: str) -> dict[str, list[float]]:
+        """Prediction horizons of the social vehicles, s, by the key of each where the family stands at `key`."""
+        horizons_s = {f"{key}.style_horizon_s": self.style_horizon_s}
+        if self.style_switch is not None:
+            horizons_s[f"{key}.style_switch.style_horizon_s"] = self.style_switch.style_horizon_s
+        return horizons_s
+
     @property
     def pieces_m(self) -> list[tuple[float, float]]:
         """What the gaps leave of the start distances: intervals that are longer than 0, ascending."""
@@ -103,7 +112,7 @@ Families = dict[FileName, FamilyConfig]
 class ScenarioConfig:
     """One scenario; `conf/scenario/narrow_lane.yaml` says what each value means."""
 
-    dt_s: Annotated[PositiveFloat, Field(le=2)]
+    dt_s: Annotated[PositiveFloat, Field(le=2)]  # a deadlock is told by a few seconds at rest
     episode_steps: PositiveInt
     n_social: PositiveInt
     social_spacing_m: PositiveMetres
@@ -114,6 +123,11 @@ class ScenarioConfig:
     desired_speed_mps: PositiveInterval
     pairing: Literal["ego_behaviour", "literal"]
     families: Annotated[Families, Field(min_length=1)]
+
+    def check(self, plan_s: float) -> Iterator[Problem]:
+        """plan_s: length of a plan."""
+        for name, family in self.families.items():
+            yield from check_horizons(family.horizons_s(f"scenario.families.{name}"), self.dt_s, plan_s)
 
 
 def pair_styles(families: Families, pairing: str) -> Families:

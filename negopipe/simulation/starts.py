@@ -1,12 +1,11 @@
 """Whether tasks can be driven at all: nobody starts in a collision, and the corridor is wide enough for a vehicle."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import torch
 from torch import Tensor
 
-from negopipe.errors import UserError
-from negopipe.schema import LONGEST_VIEW_M
+from negopipe.checks import Problem
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig
@@ -17,43 +16,48 @@ STEP_M = 0.25
 SEARCHED_M = 50.0
 """How far the next clear start is looked for."""
 
+FARTHEST_M = 1000.0
+"""Start distances that are tried at most: farther away the road is the same everywhere."""
+
 TOUCH_M = 1e-3
 """Overlap that counts; less is rounding."""
 
 
-def check_starts(scenario: ScenarioConfig, families: Mapping[str, FamilyConfig], ego_key: str) -> None:
-    """UserError where tasks of `families` may start a vehicle in a parked car, over a kerb or in another vehicle.
+def check_starts(scenario: ScenarioConfig, families: Mapping[str, FamilyConfig], ego_key: str) -> Iterator[Problem]:
+    """Tasks of `families` that may start a vehicle in a parked car, over a kerb or in another vehicle.
 
     families: by the key of each
     ego_key: where `scenario.ego_start_distance_m` comes from
     """
     starts = _Starts(scenario)
-    starts.check_corridor()
-    starts.check_roadside(ego_key, scenario.ego_start_distance_m, _tried(scenario.ego_start_distance_m), 1.0)
+    yield from starts.check_corridor()
+    yield from starts.check_roadside(ego_key, scenario.ego_start_distance_m, _tried(scenario.ego_start_distance_m), 1.0)
     pieces = {piece: key for key, family in families.items() for piece in family.pieces_m or [family.start_distance_m]}
     behind = torch.arange(scenario.n_social) * scenario.social_spacing_m
     for piece, key in pieces.items():  # what several families have in common is tried once
         distance = _tried(piece)[:, None] + behind
-        starts.check_roadside(f"{key}.start_distance_m", piece, distance, -1.0)
-        starts.check_spacing(distance)
-        starts.check_ego(f"{key}.start_distance_m", piece[0], ego_key)
+        yield from starts.check_roadside(f"{key}.start_distance_m", piece, distance, -1.0)
+        yield from starts.check_spacing(distance)
+        yield from starts.check_ego(f"{key}.start_distance_m", piece[0], ego_key)
 
 
 class _Starts:
     def __init__(self, scenario: ScenarioConfig) -> None:
         self.scenario, self.size, self.road = scenario, scenario.vehicle, Road(scenario.road)
 
-    def check_corridor(self) -> None:
+    def check_corridor(self) -> Iterator[Problem]:
         """A vehicle fits between the parked cars."""
         gap_m, width_m = self.scenario.road.corridor_gap_m, self.size.width_m
         if width_m > gap_m:
-            allowed = f"at most scenario.road.corridor_gap_m = {gap_m}"
-            raise UserError(f"scenario.vehicle.width_m must be {allowed}, got {width_m}")
+            yield Problem("scenario.vehicle.width_m", f"be at most scenario.road.corridor_gap_m = {gap_m}", width_m)
 
-    def check_roadside(self, key: str, interval: tuple[float, float], distance: Tensor, direction: float) -> None:
+    def check_roadside(
+        self, key: str, interval: tuple[float, float], distance: Tensor, direction: float
+    ) -> Iterator[Problem]:
         """Nobody starts at the mouth itself, in a parked car or over a kerb."""
         if interval[0] == 0:
-            raise UserError(f"{key} must be greater than 0, where the corridor begins, got {list(interval)}")
+            yield Problem(key, "be greater than 0, where the corridor begins", list(interval))
+            return
         touches = self._touches(distance, direction)
         if not touches.any():
             return
@@ -61,26 +65,27 @@ class _Starts:
         farther = nearest_m + torch.arange(0, SEARCHED_M, STEP_M)
         clear, lane_m = farther[~self._touches(farther, direction)], road.width_m - 2 * road.lane_offset_m
         if not len(clear) and width_m > lane_m:
-            allowed = f"at most scenario.road.width_m - 2 lane_offset_m = {lane_m:g}, the width of a lane"
-            raise UserError(f"scenario.vehicle.width_m must be {allowed}, got {width_m}")
+            rule = f"be at most scenario.road.width_m - 2 lane_offset_m = {lane_m:g}, the width of a lane"
+            yield Problem("scenario.vehicle.width_m", rule, width_m)
+            return
         hint = f", at {float(clear[0]):g} m none does" if len(clear) else ""
         touch = f"at {nearest_m:g} m a vehicle touches one{hint}"
-        raise UserError(f"{key} must keep clear of kerbs and parked cars, got {list(interval)}: {touch}")
+        yield Problem(key, "keep clear of kerbs and parked cars", f"{list(interval)}: {touch}")
 
-    def check_spacing(self, distance: Tensor) -> None:
+    def check_spacing(self, distance: Tensor) -> Iterator[Problem]:
         """Social vehicles, which start at the distances [N, S], do not start in each other."""
         ahead, behind = self._boxes(distance[:, :-1], -1.0), self._boxes(distance[:, 1:], -1.0)
         if (overlap_depth(ahead, behind) > TOUCH_M).any():
-            apart = f"keep vehicles of scenario.vehicle.length_m = {self.size.length_m} apart"
-            raise UserError(f"scenario.social_spacing_m must {apart}, got {self.scenario.social_spacing_m}")
+            rule = f"keep vehicles of scenario.vehicle.length_m = {self.size.length_m} apart"
+            yield Problem("scenario.social_spacing_m", rule, self.scenario.social_spacing_m)
 
-    def check_ego(self, key: str, social_m: float, ego_key: str) -> None:
+    def check_ego(self, key: str, social_m: float, ego_key: str) -> Iterator[Problem]:
         """The ego and the nearest social vehicle do not start in each other."""
         ego_m = self.scenario.ego_start_distance_m[0]
         ego, social = (self._boxes(torch.tensor([m]), way) for m, way in ((ego_m, 1.0), (social_m, -1.0)))
         if (overlap_depth(ego, social) > TOUCH_M).any():
             across = f"across scenario.road.corridor_length_m = {self.scenario.road.corridor_length_m}"
-            raise UserError(f"{key} and {ego_key} must keep the vehicles apart, got {social_m} and {ego_m} {across}")
+            yield Problem(f"{key} and {ego_key}", "keep the vehicles apart", f"{social_m} and {ego_m} {across}")
 
     def _touches(self, distance: Tensor, direction: float) -> Tensor:
         """[...] bool: what starts at the distances [...] reaches into a parked car or over a kerb."""
@@ -100,5 +105,5 @@ class _Starts:
 
 def _tried(interval: tuple[float, float]) -> Tensor:
     """[N] float32, m: both ends of the interval and what lies between; far away all is alike."""
-    low, high = interval[0], min(interval[1], max(interval[0], LONGEST_VIEW_M))
+    low, high = interval[0], min(interval[1], max(interval[0], FARTHEST_M))
     return torch.linspace(low, high, 2 + int((high - low) / STEP_M) if high > low else 1)

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Memory
+
 EGO = 0
 """Column of the ego on every vehicle axis."""
 
@@ -111,6 +113,14 @@ class World:
     def style_horizon(self) -> Tensor:
         """[E, V] float32, s: the driving style in force now; NaN for the ego."""
         return torch.where(self.has_switched, self.task.next_style_horizon, self.task.style_horizon)
+
+
+def world_memory(n_worlds: int, n_vehicles: int, memory_steps: int, delay_steps: int) -> Memory:
+    """Memory of worlds that remember `memory_steps` past states, while everyone looks at everyone's past."""
+    n_numbers = memory_steps * n_vehicles**2 * 4 + delay_steps * n_vehicles * 2
+    keys = "algorithm.n_worlds scenario.n_social scenario.dt_s observation.n_frames observation.frame_interval_s"
+    keys += " perception.delay_s perception.accel_window_s"
+    return Memory("the worlds' past", n_worlds * n_numbers * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,8 @@ def test_only_horizons_that_a_baseline_names_are_used(
     short = replace(baselines["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]
     for baseline in (baselines | {"level_k": short}).values():
         horizon = drive(config, brief, baseline, task).horizon_s[:, :, 0]
-        assert set(horizon[~np.isnan(horizon)].tolist()) <= set(baseline.horizons_s)
+        named = {horizon_s for values in baseline.prediction_horizons_s.values() for horizon_s in values}
+        assert set(horizon[~np.isnan(horizon)].tolist()) <= named
 
 
 def test_random_horizons_depend_on_the_episode_alone(
@@ -155,10 +156,10 @@ def test_random_horizons_are_equally_likely_and_kept(game: Game, baselines: dict
     whole = drawn[: len(drawn) // n_kept * n_kept].unflatten(0, (-1, n_kept))
     assert (whole == whole[:, :1]).all()
     first = whole[:, 0]
-    for horizon in baseline.horizons:
-        assert (first == horizon).float().mean().item() == pytest.approx(1 / len(baseline.horizons), abs=0.02)
+    for horizon in baseline.horizons_s:
+        assert (first == horizon).float().mean().item() == pytest.approx(1 / len(baseline.horizons_s), abs=0.02)
     again = (first[1:] == first[:-1]).float().mean().item()
-    assert again == pytest.approx(1 / len(baseline.horizons), abs=0.02)
+    assert again == pytest.approx(1 / len(baseline.horizons_s), abs=0.02)
     longer = sequence(game, replace(baseline, keep_s=2 * baseline.keep_s), 400)
     assert not torch.equal(longer, drawn)
 

@@ -1,7 +1,6 @@
 """conf/ composes and builds, wrong values are named in one line, run names change with the result only."""
 
 import dataclasses
-import os
 import re
 import shlex
 from pathlib import Path
@@ -15,10 +14,11 @@ from omegaconf import OmegaConf
 from negopipe import CONF
 from negopipe.config.messages import as_text, unknown_key
 from negopipe.config.root import RESULT_NEUTRAL, RunConfig, as_mapping, load, run_name
+from negopipe.environment import expanded
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 OPTIONS = sorted(path.relative_to(CONF).with_suffix("") for path in CONF.glob("*/**/*.yaml"))
 
 
@@ -75,32 +75,20 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             ["checkpoint='~nobody_at_all/x'"],
             "checkpoint must begin with the name of a user where it begins with ~, got",
         ),
-        ([f"outputs={'x' * 300}"], "outputs must be a path of printable characters, at most 1000 in all and 255 byt"),
-        (
-            ["+scenario.families={2024_05: ${scenario.families.push}}"],
-            "scenario.families must have texts as names, got 202405: in double quotes it is a text",
-        ),
         (["objective=[1e3]"], "objective.0 must be a valid string, got 1000.0, which is a text in double quotes"),
         (["+scenario.families={a b: null}"], "scenario.families.a b must match pattern"),
-        (["planner.cost.jerk=1e39"], "planner.cost.jerk must be less than or equal to 1000000, got 1e+39"),
-        (["algorithm.kl_clip=1e-300"], "algorithm.kl_clip must be at least 1e-06, got 1e-300"),
-        (["scenario.road.width_m=1e5"], "scenario.road.width_m must be less than or equal to 1000, got 100000.0"),
         (["algorithm.n_worlds=1", "algorithm.n_steps=1"], "algorithm n_worlds 1 times n_steps 1 must be at least 2"),
-        (["scenario.dt_s=0.001"], "planner.horizon_s must be between scenario.dt_s = 0.001 and 1000 times as much, g"),
-        (["scenario.episode_steps=20000"], "scenario.episode_steps must be at most 3600 s / scenario.dt_s = 18000, g"),
-        (["perception.delay_s=1000.0"], "perception.delay_s must be at most 1000 times scenario.dt_s = 0.2, got 1000"),
         (
             ["algorithm.n_worlds=100000"],
             "a rollout must take at most 16 GiB, got about 84 GiB by algorithm.n_worlds = 100000, algorithm.n_steps ",
         ),
-        (["policy.conv.1.stride=1000000"], "policy.conv.1.stride must be less than or equal to 100, got 1000000"),
-        (["policy.conv.0.channels=1000000"], "the network must take at most 16 GiB, got about"),
         (["policy.encoder_width=1000000"], "the network must take at most 16 GiB, got about"),
-        (["planner.clearance.station_m=1e-5"], "the planner's paths must take at most 16 GiB, got about"),
-        (["planner.clearance.conflict_station_m=1e-5"], "the planner's checks must take at most 16 GiB, got about"),
-        (["scenario.n_social=100"], "the planner's candidates must take at most 16 GiB, got about"),
+        (
+            ["+scenario.families={2024_05: ${scenario.families.push}}"],
+            "scenario.families must have texts as names, got 202405: in double quotes it is a text",
+        ),
+        (["scenario.n_social=100"], "a plan must take at most 16 GiB, got about"),
         (["observation.frame_interval_s=100.0", "algorithm.n_worlds=100000"], "the worlds' past must take at most 16"),
-        (["scenario.road.n_parked_per_side=101"], "scenario.road.n_parked_per_side must be less than or equal to 100"),
         (["scenario=bent_street", "scenario.road.bends.0.length_m=0.01"], "scenario.road bends must have a radius of"),
         (["report.animation_fps=100"], "report.animation_fps must be less than or equal to 50, got 100"),
         (["name=a/b"], "name must match pattern '^[A-Za-z0-9][A-Za-z0-9_.-]*$', got a/b"),
@@ -123,11 +111,11 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["planner.horizon_s=3.0"], "policy.horizons_s must be at most planner.horizon_s = 3.0, got 6.0"),
         (
             ["+evaluation.baselines.adaptive={kind: fixed, horizon_s: 0.0, n_episodes: null}"],
-            "evaluation.baselines must not name one adaptive, which is the policy",
+            "evaluation.baselines must not have the name of the policy, got adaptive",
         ),
         (
             ["evaluation.baselines.fixed_6.horizon_s=8.0"],
-            "evaluation.baselines.fixed_6 must be at most planner.horizon_s = 6.0, got 8.0",
+            "evaluation.baselines.fixed_6.horizon_s must be at most planner.horizon_s = 6.0, got 8.0",
         ),
         (
             ["curriculum=three_stages", "curriculum.stages.0.families.push.style_horizon_s=[2.0,7.0]"],
@@ -152,7 +140,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["planner.horizon_s=6.5"], "planner.horizon_s must be a multiple of scenario.dt_s = 0.2, got 6.5"),
         (
             ["evaluation.baselines.fixed_2.horizon_s=2.1"],
-            "evaluation.baselines.fixed_2 must be a multiple of scenario.dt_s",
+            "evaluation.baselines.fixed_2.horizon_s must be a multiple of scenario.dt_s",
         ),
         (
             ["evaluation/baseline=random", "evaluation.baselines.random.keep_s=0.1", "report.side_by_side=[]"],
@@ -176,11 +164,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         ),
         (["policy.horizons_s=[0,0,2]"], "policy.horizons_s must name every value once, not 0.0 again, got [0, 0, 2]"),
         (["evaluation.settings=[push,push]"], "evaluation.settings must name every value once, not push again"),
-        (["stages=[train,train]"], "stages must name every value once, not train again"),
-        (["report.side_by_side=[fixed_2,fixed_2]"], "report.side_by_side must name every value once, not fixed_2 "),
-        (["report.figure_formats=[png,png]"], "report.figure_formats must name every value once, not png again"),
         (["oracle.settings=[push,push]"], "oracle.settings must name every value once, not push again"),
-        (["benchmark.n_worlds=[1,1]"], "benchmark.n_worlds must name every value once, not 1 again"),
         (["scenario.ego_start_distance_m=[0,5]"], "scenario.ego_start_distance_m must be greater than 0, wh"),
         (
             ["scenario.families.push.start_distance_m=[0,0]"],
@@ -191,11 +175,11 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["perception.accel_window_s=0.05"], "perception.accel_window_s must be a multiple of scenario.dt_s = 0.2, "),
         (
             ["observation.n_cells=20"],
-            "policy.conv.2.kernel must be at most 1, what is left there of observation.n_cells = 20, got 3",
+            "policy.conv.2.kernel must be at most 1, the side of its input with observation.n_cells = 20, got 3",
         ),
         (
             ["evaluation.settings=[rest]"],
-            "evaluation.settings must be among push, yield, mixture, mixture_switching, got rest",
+            "evaluation.settings must be among push, yield, mixture, mixture_switching of scenario.families, got rest",
         ),
         (
             ["scenario.families.mixture_switching.style_switch.style_horizon_s=[7.0]"],
@@ -207,7 +191,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         ),
         (
             ["evaluation.leading_setting=rest"],
-            "evaluation.leading_setting must be among push, yield, got rest",
+            "evaluation.leading_setting must be among push, yield of evaluation.settings, got rest",
         ),
         (["report.side_by_side=[fixed_3]"], "report.side_by_side must be among fixed_0, fixed_2, "),
     ],
@@ -227,7 +211,7 @@ def test_what_is_said_of_a_text_is_read_as_that_text(text: str) -> None:
     suggested = as_text(f"outputs={text}")
     assert suggested is not None
     (word,) = shlex.split(suggested)
-    assert build(word).outputs == os.path.expanduser(text)
+    assert build(word).outputs == expanded(text)
 
 
 @pytest.mark.parametrize("override", ["seed=[1", "outputs='a", "x y=3", "name", "name=", f"name={'=' * 300}"])

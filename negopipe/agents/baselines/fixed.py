@@ -18,8 +18,8 @@ class Config(Baseline):
     horizon_s: NonNegativeFloat
 
     @property
-    def horizons_s(self) -> tuple[float, ...]:
-        return (self.horizon_s,)
+    def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:
+        return {"horizon_s": (self.horizon_s,)}
 
     @property
     def fixed_horizon_s(self) -> float:

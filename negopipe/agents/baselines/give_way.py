@@ -25,8 +25,8 @@ class Config(Baseline):
     going_horizon_s: NonNegativeFloat
 
     @property
-    def horizons_s(self) -> tuple[float, ...]:
-        return (self.waiting_horizon_s, self.going_horizon_s)
+    def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:
+        return {"waiting_horizon_s": (self.waiting_horizon_s,), "going_horizon_s": (self.going_horizon_s,)}
 
     def driver(self, game: Game, episode_key: Tensor) -> HorizonDriver:
         road, length_m = game.simulator.road, game.simulator.scenario.vehicle.length_m
@@ -35,7 +35,6 @@ class Config(Baseline):
             met = encounter(road, length_m, perception)
             is_nearer = met.other_s >= met.own.s[..., None]  # of equals, both wait
             must_wait = (met.is_oncoming & is_nearer).any(-1)
-            waiting, going = (torch.full_like(met.own.s, h) for h in self.horizons_s)
-            return torch.where(must_wait, waiting, going)
+            return torch.where(must_wait, self.waiting_horizon_s, self.going_horizon_s)
 
         return HorizonDriver(choose, game.plan)

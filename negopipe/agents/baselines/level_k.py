@@ -31,8 +31,8 @@ class Config(Baseline):
     """`conf/evaluation/baseline/level_k.yaml` says what each value means."""
 
     kind: Literal["level_k"]
-    horizons: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
-    level: Annotated[PositiveInt, Field(le=10)]
+    horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
+    level: PositiveInt
     lookahead_s: PositiveFloat
     keep_s: PositiveFloat
     collision_m: NonNegativeFloat
@@ -43,8 +43,8 @@ class Config(Baseline):
     is_lockstep: ClassVar[bool] = True
 
     @property
-    def horizons_s(self) -> tuple[float, ...]:
-        return self.horizons
+    def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:
+        return {"horizons_s": self.horizons_s}
 
     @property
     def times_s(self) -> dict[str, float]:
@@ -59,7 +59,7 @@ class LevelK:
 
     def __init__(self, game: Game, config: Config) -> None:
         self.game, self.config = game, config
-        self.horizons = torch.tensor(config.horizons, device=game.planner.times.device)
+        self.horizons = torch.tensor(config.horizons_s, device=game.planner.times.device)
         self.dt_s = game.simulator.scenario.dt_s
         self._n_calls, self._kept = 0, self.horizons[:1]
 

@@ -16,17 +16,17 @@ from negopipe.tensors.stateless_rng import mix
 
 @schema
 class Config(Baseline):
-    """horizons: s, each equally likely. keep_s: for how long one is kept."""
+    """horizons_s: each is drawn equally often. keep_s: time for which a drawn horizon is kept."""
 
     kind: Literal["random"]
-    horizons: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
+    horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
     keep_s: PositiveFloat
 
     is_lockstep: ClassVar[bool] = True
 
     @property
-    def horizons_s(self) -> tuple[float, ...]:
-        return self.horizons
+    def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:
+        return {"horizons_s": self.horizons_s}
 
     @property
     def times_s(self) -> dict[str, float]:
@@ -36,7 +36,7 @@ class Config(Baseline):
         scenario = game.simulator.scenario
         n_kept = round(self.keep_s / scenario.dt_s)
         draw = torch.arange(scenario.episode_steps, device=episode_key.device) // n_kept
-        choice = mix(mix(mix(episode_key)) + draw[:, None]) % len(self.horizons)
+        choice = mix(mix(mix(episode_key)) + draw[:, None]) % len(self.horizons_s)
         return HorizonDriver(
-            sequence_planner(torch.tensor(self.horizons, device=episode_key.device)[choice]), game.plan
+            sequence_planner(torch.tensor(self.horizons_s, device=episode_key.device)[choice]), game.plan
         )

@@ -1,0 +1,51 @@
+"""Old names of config keys, groups, options and values, and the names that they have now."""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+RENAMED = {
+    "evaluation/rival": "evaluation/baseline",
+    "evaluation.rivals": "evaluation.baselines",
+    "evaluation.baselines.*.horizons": "evaluation.baselines.*.horizons_s",
+    "evaluation.action=most_probable": "evaluation.action=greedy",
+    "experiment=shown": "experiment=demonstrations",
+    "curriculum=shown": "curriculum=demonstrations",
+    "algorithm.settling": "algorithm.entropy_penalty",
+    "dynamics.model": "dynamics.kind",
+    "planner.prediction.model": "planner.prediction.kind",
+    "runs": "python -m negopipe.sweeping.compare <outputs>/<name>",
+}
+"""Old name -> new name. A name is a key, a key with one of its values (`=`), a group (`/`) or a group with one of its
+options. `*` stands for any name."""
+
+
+def renaming(name: str) -> str | None:
+    """The line for an old name and for what lies below it; None for any other name."""
+    for old, new in RENAMED.items():
+        pattern = re.escape(old).replace(r"\*", r"(\w+)")
+        found = re.fullmatch(rf"{pattern}(?:[./=].*)?", name, flags=re.DOTALL)
+        if found:
+            any_name = "".join(found.groups())
+            return f"{old} is now {new}".replace("*", any_name)
+    return None
+
+
+def renaming_in(message: str) -> str | None:
+    """The line for an old name that an error of Hydra quotes."""
+    return next(filter(None, map(renaming, re.findall(r"'([^']*)'", message))), None)
+
+
+def renamings(values: Any) -> list[str]:
+    """A line for every old key and every old value in a composed config, given as plain mappings."""
+    found = (renaming(key) or renaming(f"{key}={value}") for key, value in _entries(values))
+    return list(dict.fromkeys(filter(None, found)))
+
+
+def _entries(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys at every depth with their values."""
+    for name, value in values.items():
+        key = f"{prefix}{name}"
+        yield key, value
+        if isinstance(value, Mapping):
+            yield from _entries(value, f"{key}.")
