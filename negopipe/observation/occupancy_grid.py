@@ -42,6 +42,11 @@ class ObservationConfig:
     n_frames: Annotated[PositiveInt, Field(le=100)]
     frame_interval_s: PositiveFloat
 
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Frames, rows and columns of one observation, (F, H, W)."""
+        return (self.n_frames, self.n_cells, self.n_cells)
+
 
 def frame_stride(config: ObservationConfig, dt_s: float) -> int:
     """Control steps between two frames."""
@@ -70,7 +75,7 @@ class OccupancyGrid:
     ) -> None:
         self.config, self.vehicle = config, vehicle
         n = config.n_cells
-        self.shape = (config.n_frames, n, n)
+        self.shape = config.shape
         self._stride = frame_stride(config, dt_s)
         cells = torch.arange(n, device=device)
         self._ahead = (n - cells - 0.5) * config.cell_along_m - config.behind_m  # [H] m, row centres

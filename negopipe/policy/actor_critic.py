@@ -3,8 +3,9 @@
 import math
 from copy import deepcopy
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Generator, Tensor, nn
@@ -130,6 +131,7 @@ class GridEncoder(nn.Module):
 
     def __init__(self, config: PolicyConfig, observation_shape: tuple[int, int, int]) -> None:
         super().__init__()
+        self.observation_shape = observation_shape
         channels, height, width = observation_shape
         layers: list[nn.Module] = []
         for conv in config.conv:
@@ -147,11 +149,31 @@ class GridEncoder(nn.Module):
         return torch.relu(self.linear(maps.flatten(1)))
 
 
+class GridPolicy(ActorCritic):
+    """The actor-critic whose encoder is a `GridEncoder`."""
+
+    @torch.no_grad()
+    def act(self, grids: np.ndarray) -> Any:
+        """The most probable action for the grids that an environment shows, as its `step` takes it.
+
+        grids: [F, H, W] of one world, or [E, F, H, W]; 0 = free and any other value occupied, so 0 and 255 of
+            `negopipe.envs.gymnasium` or 0 and 1. UserError for another shape
+        Returns an int64 number for one world, [E] int64 for E worlds.
+        """
+        assert isinstance(self.encoder, GridEncoder)
+        shape = self.encoder.observation_shape
+        if np.shape(grids)[-3:] != shape or np.ndim(grids) not in (3, 4):
+            allowed = f"an array of shape {shape}, or of several of them"
+            raise UserError(f"grids must be {allowed}, got the shape {np.shape(grids)}")
+        occupied = torch.from_numpy(np.not_equal(grids, 0)).reshape(-1, *shape).to(self.value_mean.device)
+        return greedy_action(self(occupied)[0]).cpu().numpy().reshape(np.shape(grids)[:-3])[()]
+
+
 def grid_actor_critic(
     config: PolicyConfig, observation_shape: tuple[int, int, int], device: torch.device, generator: Generator
-) -> ActorCritic:
+) -> GridPolicy:
     """The paper's network on `device`, for grids [C, H, W]. The weights depend on the CPU generator only."""
-    policy = ActorCritic(
+    policy = GridPolicy(
         encoder=GridEncoder(config, observation_shape),
         n_features=config.encoder_width,
         head_widths=config.head_widths,

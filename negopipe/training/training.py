@@ -22,7 +22,7 @@ from negopipe.game.curriculum import Curriculum
 from negopipe.game.environment import NegotiationEnv
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import RunningEpisodes, collect
-from negopipe.runtime.build import build, device_of, load_policy
+from negopipe.runtime.build import build, device_of, load_weights
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
 from negopipe.tensors.seeding import generator
@@ -50,7 +50,7 @@ class Training:
         self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)  # from here on time counts
         game, self.policy = build(config)
         if config.checkpoint is not None:
-            load_policy(find_checkpoint(config.checkpoint, config), self.policy, config)
+            load_weights(find_checkpoint(config.checkpoint, config), self.policy, config)
         shown = demonstrations(config, game, folder)
         self.learner = Learner(self.policy, algorithm, generator(config.seed, "updates", device), shown)
         tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
