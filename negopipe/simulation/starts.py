@@ -1,4 +1,4 @@
-"""Whether tasks can be driven at all: nobody starts in a collision, and the corridor is wide enough for a vehicle."""
+"""Checks of start positions: no vehicle starts in a collision, and the corridor is wide enough for a vehicle."""
 
 from collections.abc import Mapping
 
@@ -12,46 +12,48 @@ from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig
 
 STEP_M = 0.25
-"""Spacing of the start distances that are tried of an interval."""
+"""Spacing of the start distances that are checked in an interval, m."""
 
 SEARCHED_M = 50.0
-"""How far the next clear start is looked for."""
+"""Length of the search for a clear start, m."""
 
 TOUCH_M = 1e-3
-"""Overlap that counts; less is rounding."""
+"""Smallest overlap that is a contact, m; less is rounding."""
 
 
 def check_starts(scenario: ScenarioConfig, families: Mapping[str, FamilyConfig], ego_key: str) -> None:
     """UserError where tasks of `families` may start a vehicle in a parked car, over a kerb or in another vehicle.
 
-    families: by the key of each
-    ego_key: where `scenario.ego_start_distance_m` comes from
+    families: task families by their config key
+    ego_key: config key of `scenario.ego_start_distance_m`, for the message
     """
     starts = _Starts(scenario)
     starts.check_corridor()
-    starts.check_roadside(ego_key, scenario.ego_start_distance_m, _tried(scenario.ego_start_distance_m), 1.0)
+    starts.check_roadside(ego_key, scenario.ego_start_distance_m, _samples(scenario.ego_start_distance_m), 1.0)
     pieces = {piece: key for key, family in families.items() for piece in family.pieces_m or [family.start_distance_m]}
     behind = torch.arange(scenario.n_social) * scenario.social_spacing_m
-    for piece, key in pieces.items():  # what several families have in common is tried once
-        distance = _tried(piece)[:, None] + behind
+    for piece, key in pieces.items():  # an interval of several families is checked once
+        distance = _samples(piece)[:, None] + behind
         starts.check_roadside(f"{key}.start_distance_m", piece, distance, -1.0)
         starts.check_spacing(distance)
         starts.check_ego(f"{key}.start_distance_m", piece[0], ego_key)
 
 
 class _Starts:
+    """Start positions of a scenario, and their checks."""
+
     def __init__(self, scenario: ScenarioConfig) -> None:
         self.scenario, self.size, self.road = scenario, scenario.vehicle, Road(scenario.road)
 
     def check_corridor(self) -> None:
-        """A vehicle fits between the parked cars."""
+        """UserError where a vehicle does not fit between the parked cars."""
         gap_m, width_m = self.scenario.road.corridor_gap_m, self.size.width_m
         if width_m > gap_m:
             allowed = f"at most scenario.road.corridor_gap_m = {gap_m}"
             raise UserError(f"scenario.vehicle.width_m must be {allowed}, got {width_m}")
 
     def check_roadside(self, key: str, interval: tuple[float, float], distance: Tensor, direction: float) -> None:
-        """Nobody starts at the mouth itself, in a parked car or over a kerb."""
+        """UserError where a vehicle starts at the mouth itself, in a parked car or over a kerb."""
         if interval[0] == 0:
             raise UserError(f"{key} must be greater than 0, where the corridor begins, got {list(interval)}")
         touches = self._touches(distance, direction)
@@ -68,14 +70,14 @@ class _Starts:
         raise UserError(f"{key} must keep clear of kerbs and parked cars, got {list(interval)}: {touch}")
 
     def check_spacing(self, distance: Tensor) -> None:
-        """Social vehicles, which start at the distances [N, S], do not start in each other."""
+        """UserError where social vehicles with the start distances [N, S] overlap."""
         ahead, behind = self._boxes(distance[:, :-1], -1.0), self._boxes(distance[:, 1:], -1.0)
         if (overlap_depth(ahead, behind) > TOUCH_M).any():
             apart = f"keep vehicles of scenario.vehicle.length_m = {self.size.length_m} apart"
             raise UserError(f"scenario.social_spacing_m must {apart}, got {self.scenario.social_spacing_m}")
 
     def check_ego(self, key: str, social_m: float, ego_key: str) -> None:
-        """The ego and the nearest social vehicle do not start in each other."""
+        """UserError where the ego and the nearest social vehicle overlap."""
         ego_m = self.scenario.ego_start_distance_m[0]
         ego, social = (self._boxes(torch.tensor([m]), way) for m, way in ((ego_m, 1.0), (social_m, -1.0)))
         if (overlap_depth(ego, social) > TOUCH_M).any():
@@ -83,7 +85,7 @@ class _Starts:
             raise UserError(f"{key} and {ego_key} must keep the vehicles apart, got {social_m} and {ego_m} {across}")
 
     def _touches(self, distance: Tensor, direction: float) -> Tensor:
-        """[...] bool: what starts at the distances [...] reaches into a parked car or over a kerb."""
+        """[...] bool: a vehicle with the start distance [...] reaches into a parked car or over a kerb."""
         boxes, parked = self._boxes(distance, direction), self.road.parked_boxes()
         x, y, cos, sin = (field[..., None] for field in boxes[:4])
         is_in_a_car = overlap_depth(boxes._replace(x=x, y=y, cos=cos, sin=sin), parked) > TOUCH_M
@@ -91,14 +93,14 @@ class _Starts:
 
     def _boxes(self, distance: Tensor, direction: float) -> Boxes:
         """Footprints [...] of vehicles that start `distance` [...] before their mouth, on their route."""
-        way, zero = torch.full_like(distance, direction), torch.zeros_like(distance)
-        start = RouteState(-distance, zero, zero, *self.road.route_offset(-distance, way))
-        vehicles = self.road.to_world(start, way)
+        directions, zero = torch.full_like(distance, direction), torch.zeros_like(distance)
+        start = RouteState(-distance, zero, zero, *self.road.route_offset(-distance, directions))
+        vehicles = self.road.to_world(start, directions)
         x, y = vehicles.position.unbind(-1)
         return boxes_from_pose(x, y, vehicles.yaw, self.size.length_m, self.size.width_m)
 
 
-def _tried(interval: tuple[float, float]) -> Tensor:
-    """[N] float32, m: both ends of the interval and what lies between; far away all is alike."""
+def _samples(interval: tuple[float, float]) -> Tensor:
+    """[N] float32, m: distances from one end of the interval to the other; beyond the longest view all are alike."""
     low, high = interval[0], min(interval[1], max(interval[0], LONGEST_VIEW_M))
     return torch.linspace(low, high, 2 + int((high - low) / STEP_M) if high > low else 1)
