@@ -7,7 +7,7 @@ from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.learning.rollout import Transition
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import EGO, NEAREST, World
+from negopipe.simulation.state import NEAREST, World
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
 from negopipe.tensors.tree import map_tensors, named_tensors, tree_where, with_tensors
 
@@ -47,9 +47,7 @@ class NegotiationEnv:
     def step(self, action: Tensor) -> Transition:
         """Drive every vehicle for one control step; `action` [E] int64 is the ego's."""
         world = self.world
-        horizon = world.style_horizon.clone()
-        horizon[:, EGO] = self._horizons[action]
-        moved, events, reached = self.game.advance(world, horizon)
+        moved, events, reached = self.game.advance(world, world.horizons(self._horizons[action]))
         which = (events.is_terminated | events.is_truncated).nonzero()[:, 0]
         final = self._start_again(moved, reached, which)
         return Transition(

@@ -21,7 +21,7 @@ from torch import Generator, Tensor
 from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, PositiveInt, schema
-from negopipe.simulation.state import EGO, Task, World
+from negopipe.simulation.state import Task, World
 from negopipe.tensors.tree import map_tensors, tree_where
 
 SHIFT_CHANCE = 0.3
@@ -93,9 +93,7 @@ class Rollouts:
         n_steps = torch.zeros_like(actions[:, 0])
         world, rows = self.game.simulator.reset(tasks), torch.arange(len(tasks), device=actions.device)
         while len(rows) > 0:
-            horizon = world.style_horizon.clone()
-            horizon[:, EGO] = self._horizons[actions[rows, world.step]]
-            world, events = self.game.drive(world, horizon)
+            world, events = self.game.drive(world, world.horizons(self._horizons[actions[rows, world.step]]))
             paid[rows] += reward(self.reward_config, events.is_collision, events.is_success).double()
             n_steps[rows] = world.step
             is_over = events.is_terminated | events.is_truncated

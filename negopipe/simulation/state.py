@@ -112,6 +112,12 @@ class World:
         """[E, V] float32, s: the driving style in force now; NaN for the ego."""
         return torch.where(self.has_switched, self.task.next_style_horizon, self.task.style_horizon)
 
+    def horizons(self, ego: Tensor | float) -> Tensor:
+        """[E, V] float32, s: `ego` [E] for the ego, the driving style in force now for the social vehicles."""
+        horizons = self.style_horizon
+        horizons[:, EGO] = ego
+        return horizons
+
 
 @dataclass(frozen=True)
 class Motion:

@@ -18,7 +18,7 @@ from negopipe.learning.demonstrations import Demonstrations, DemonstrationsConfi
 from negopipe.runtime.progress import ProgressLine
 from negopipe.search.oracle import Rollouts, Sequences, best_simple, improve, simplify
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import EGO, Task
+from negopipe.simulation.state import Task
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.torch_settings import one_thread
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
@@ -96,7 +96,5 @@ def _replay(config: "RunConfig", game: Game, tasks: Task, texts: list[str]) -> t
         is_driving = action >= 0
         seen.append(grids[is_driving])
         actions.append(action[is_driving])
-        horizon = world.style_horizon.clone()
-        horizon[:, EGO] = horizons[action]
-        world, _, grids = game.advance(world, horizon)
+        world, _, grids = game.advance(world, world.horizons(horizons[action]))
     return torch.cat(seen), torch.cat(actions)

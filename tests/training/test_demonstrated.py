@@ -13,7 +13,6 @@ from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.game.game import Game, build_game
 from negopipe.search import oracle
-from negopipe.simulation.state import EGO
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.training.demonstration_search import demonstrated_tasks, demonstrations
 
@@ -65,8 +64,7 @@ def test_the_policy_is_shown_what_it_would_see(shown_config: RunConfig, shown_ga
     tasks = demonstrated_tasks(shown_config, shown.config, DEVICE)["push"]
     world = shown_game.simulator.reset(tasks)
     assert torch.equal(shown.observation[:3], shown_game.see(world))
-    horizon = world.style_horizon.clone()
-    horizon[:, EGO] = torch.tensor(shown_config.policy.horizons_s)[shown.action[:3]]
+    horizon = world.horizons(torch.tensor(shown_config.policy.horizons_s)[shown.action[:3]])
     assert torch.equal(shown.observation[3:6], shown_game.advance(world, horizon)[2])
 
 
