@@ -81,7 +81,7 @@ class Training:
         rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
         metrics = self.learner.update(rollout, self.n_done / self.n_total)
         row = self.curve.add(stage.name, rollout, metrics)
-        is_over = self.curriculum.count(rollout.is_success[rollout.is_done].tolist())
+        is_over = self.curriculum.finish_iteration(rollout.is_success[rollout.is_done].tolist())
         self.is_at_stage_end = is_over or self.n_done == self.n_total
         return row
 
