@@ -36,9 +36,35 @@ One iteration
     the stage's task distribution -> collect -> advantages -> the algorithm's update -> log -> (stage's end) checkpoint
 """
 
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from negopipe.config.compose import load_config
+    from negopipe.envs.gymnasium import make_env, make_vec_env
+    from negopipe.runtime.build import load_policy
+
+__all__ = ["load_config", "load_policy", "make_env", "make_vec_env"]
 
 _PACKAGE = Path(__file__).resolve().parent
 
 CONF = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
 """The configs: inside the package in a wheel, beside it in a checkout."""
+
+if not TYPE_CHECKING:  # a type checker must not take every name for one of this package
+    _MODULES = {
+        "load_config": "negopipe.config.compose",
+        "load_policy": "negopipe.runtime.build",
+        "make_env": "negopipe.envs.gymnasium",
+        "make_vec_env": "negopipe.envs.gymnasium",
+    }
+
+    def __getattr__(name):
+        """A function of the public face, imported at its first use: torch and Hydra take seconds (PEP 562)."""
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_MODULES[name]), name)
+
+    def __dir__():
+        return sorted({*globals(), *__all__})

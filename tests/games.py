@@ -1,16 +1,24 @@
-"""Tasks for tests that drive."""
+"""Tasks and configs for tests that drive."""
 
 from dataclasses import replace
 
 import torch
 
+from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game
 from negopipe.simulation.scenario import FamilyConfig, TaskSampler
 from negopipe.simulation.state import Task, VehicleState, World
 from negopipe.tensors.tree import map_tensors
 
+IN_ONE_PROCESS = ("device=cpu", "n_threads=1", "compile='off'", "scenario.episode_steps=72")
+
 MIXTURE = {"mixture": FamilyConfig(1.0, (11.99, 18.80), [], [0.0, 2.0, 4.0, 6.0], None)}
+
+
+def tiny_config(experiment: str, *overrides: str) -> RunConfig:
+    """An experiment in one process, without a compiler and with short episodes."""
+    return compose_config([f"+experiment={experiment}", *IN_ONE_PROCESS, *overrides])
 
 
 def place(world: World, vehicles: VehicleState) -> World:

@@ -9,7 +9,7 @@ from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
 from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.episodes_file import Drives, episodes
-from negopipe.runtime.build import build, load_policy
+from negopipe.runtime.build import build, load_weights
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tracking.checkpoint import find_checkpoint
 
@@ -23,7 +23,7 @@ def rates(experiment: str, setting: str, n_episodes: int) -> tuple[float, float]
     config = compose_config([f"+experiment={experiment}", "device=cpu", "compile=off", "policy.precision=float32"])
     config = replace(config, evaluation=replace(config.evaluation, n_episodes=n_episodes))
     game, policy = build(config)
-    load_policy(find_checkpoint("pretrained", config), policy, config)
+    load_weights(find_checkpoint("pretrained", config), policy, config)
     choose = adaptive_planner(policy, game, config.policy.horizons_s)
     tasks, evaluation = held_out_tasks(config, game, setting), config.evaluation
     trace = drive_episodes(

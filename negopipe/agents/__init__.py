@@ -1,1 +1,1 @@
-"""Who drives: horizon drivers, the baselines that the policy is compared with, and what they know of an encounter."""
+"""Drivers: horizon drivers, the baselines that the policy is compared with, and the encounter as they perceive it."""

@@ -1,4 +1,4 @@
-"""The planners that the policy is compared with: what each of them has to be."""
+"""Interface of the baselines, the planners that the policy is compared with."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -14,16 +14,17 @@ from negopipe.schema import PositiveInt, schema
 
 @schema
 class Baseline(ABC):
-    """A config that makes the driver it describes. Each stands in a file of `negopipe.agents.baselines`, and is
-    chosen by one of `conf/evaluation/baseline`.
+    """Config of a baseline, which makes its driver.
 
-    n_episodes: it drives the first so many of the evaluation's tasks; null = all of them
+    Each has a file in `negopipe.agents.baselines` and one in `conf/evaluation/baseline`.
+
+    n_episodes: number of the evaluation's tasks that it drives, from the first on; null = all of them
     """
 
     n_episodes: PositiveInt | None
 
     is_lockstep: ClassVar[bool] = False
-    """Its driver is asked for all worlds of a batch at every decision, in their order."""
+    """Whether its driver is asked for all worlds of a batch at every decision, in their order."""
 
     @property
     def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:
@@ -32,7 +33,7 @@ class Baseline(ABC):
 
     @property
     def times_s(self) -> dict[str, float]:
-        """Its times that are counted in control steps, by the name of the field."""
+        """Times that must be whole control steps, s, by the name of the field."""
         return {}
 
     def check(self, key: str, dt_s: float, plan_s: float) -> Iterator[Problem]:
@@ -43,12 +44,12 @@ class Baseline(ABC):
 
     @property
     def fixed_horizon_s(self) -> float | None:
-        """The horizon that it keeps to at every decision; None where it keeps to none."""
+        """The one horizon of all its decisions, s; None where it has several or none."""
         return None
 
     @abstractmethod
     def driver(self, game: Game, episode_key: Tensor) -> Driver:
-        """The driver for a batch of episodes that start together.
+        """Driver for a batch of episodes that start together.
 
-        episode_key: [E] int64, one per episode, from which what is random may be drawn
+        episode_key: [E] int64, key of the random draws in each episode
         """

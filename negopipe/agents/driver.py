@@ -1,7 +1,7 @@
-"""Who drives a vehicle: what the vehicle perceives goes in, its motion for the next step comes out.
+"""Drivers: functions from the perception of a vehicle to its motion in the next step.
 
-Everything that drives stands behind `Driver`. Most drivers choose a prediction horizon and leave the rest to the
-planner (`HorizonDriver`); others may move their vehicle as they like without a change in the simulator.
+Most drivers choose a prediction horizon and leave the rest to the planner (`HorizonDriver`). Others choose the motion
+themselves, which needs no change in the simulator.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,20 +22,19 @@ Plan = Callable[[Perception, Tensor], Motion]
 
 
 class Driver(Protocol):
-    """Drives one agent in every world."""
+    """Driver of one agent in every world."""
 
     def drive(self, perception: Perception) -> Motion:
-        """Motion of the agent (S = 1) for the next control step, from what its vehicle perceives."""
+        """Motion of the agent (S = 1) in the next control step, from the perception of its vehicle."""
         ...
 
 
 MakeDriver = Callable[[Tensor], Driver]
-"""Keys of E episodes [E] int64, from which what is random may be drawn -> the driver of one agent in them. They start
-together."""
+"""Keys of the random draws in E episodes that start together [E] int64 -> driver of one agent in them."""
 
 
 class HorizonDriver:
-    """Chooses a prediction horizon and lets the planner drive."""
+    """Driver that chooses a prediction horizon and follows the planner."""
 
     def __init__(self, choose_horizon: ChooseHorizon, plan: Plan) -> None:
         self.choose_horizon = choose_horizon
@@ -46,7 +45,7 @@ class HorizonDriver:
 
 
 def own_style(perception: Perception) -> Tensor:
-    """The horizon of a social vehicle: its driving style."""
+    """Horizon of a social vehicle: its driving style."""
     return perception.style_horizon
 
 
@@ -60,9 +59,9 @@ def fixed_horizon(horizon_s: float) -> ChooseHorizon:
 
 
 def drive_together(drivers: Sequence[Driver], perception: Perception) -> Motion:
-    """One driver per agent. Agents that share a planner are planned in one batched call.
+    """Motion of all agents, one driver per agent; agents that share a planner are planned in one batched call.
 
-    The result is the same as letting each driver drive alone; batching only saves time.
+    The result is the same as that of separate calls.
     """
     motions: dict[int, Motion] = {}
     by_plan: dict[Plan, dict[int, HorizonDriver]] = {}

@@ -1,4 +1,4 @@
-"""How the ego and those who come towards it stand along the road: what rules of the road speak of."""
+"""The encounter of the ego with oncoming vehicles along the road, in which rules of the road are stated."""
 
 from typing import NamedTuple
 
@@ -9,12 +9,14 @@ from negopipe.simulation.road import Road, RouteState
 
 
 class Encounter(NamedTuple):
-    """Of one agent with the O others; places are those of the centres, each on its own route, where s = 0 is the mouth
-    of the corridor that it meets first.
+    """Encounter of one agent with O others.
+
+    Places are those of the vehicles' centres, each on its own route, where s = 0 is the mouth of the corridor that the
+    vehicle meets first.
 
     own: RouteState [E, 1]
-    other_s, other_speed: [E, 1, O], m, m/s
-    apart_m: [E, 1, O], along the road; negative once they have passed each other
+    other_s, other_speed: [E, 1, O], m and m/s
+    apart_m: [E, 1, O], distance along the road; negative once they have passed each other
     is_oncoming: [E, 1, O] bool, seen, driving the other way and not yet past by a vehicle's length
     """
 
@@ -26,7 +28,10 @@ class Encounter(NamedTuple):
 
 
 def encounter(road: Road, length_m: float, perception: Perception) -> Encounter:
-    """What a agent (S = 1) perceives, along the road; length_m: of a vehicle."""
+    """Encounter as one agent (S = 1) perceives it.
+
+    length_m: length of a vehicle
+    """
     own = road.to_route(perception.own, perception.direction)
     other_direction = road.direction_of(perception.other)
     other = road.to_route(perception.other, other_direction)

@@ -1,4 +1,4 @@
-"""How the ego may choose its horizon: by the trained policy, or by a sequence that was found beforehand."""
+"""Horizon choices of the ego: by the trained policy, or from a sequence that was found beforehand."""
 
 from itertools import count
 
@@ -13,31 +13,31 @@ from negopipe.tensors.chunked import ChunkedFunction
 from negopipe.tensors.stateless_rng import mix, uniform
 
 ACTIONS = 0x5A17
-"""Sets what actions are drawn from apart from what else is drawn for an episode."""
+"""Offset of the key from which actions are drawn, apart from the other draws of an episode."""
 BATCH = 64
-"""Grids that the network is shown at once, always so many: with another number its last bits may be others."""
+"""Grids per call of the network; constant, since the last bits of its output may depend on the number."""
 
 
 def by_horizon(game: Game, choose_horizon: ChooseHorizon) -> MakeDriver:
-    """The game's planner with the horizons of `choose_horizon`, the same driver for all episodes."""
+    """Driver with the horizons of `choose_horizon`, the same for all episodes."""
     return lambda episode_key: HorizonDriver(choose_horizon, game.plan)
 
 
 def adaptive_planner(
     policy: ActorCritic, game: Game, horizons_s: tuple[float, ...], episode_key: Tensor | None = None
 ) -> ChooseHorizon:
-    """The policy: looks at the grids and picks the most probable horizon.
+    """The trained policy: the most probable horizon for the grids.
 
-    episode_key: [E] int64, from which the horizon is drawn instead; the planner counts the decisions, so make one for
-        each batch of episodes that start together, and drive them in lockstep
+    episode_key: [E] int64, key from which horizons are drawn by their probabilities instead. The choice counts its
+        decisions: it is made anew for each batch of episodes that start together, and they are driven in lockstep
     """
     horizons = torch.tensor(horizons_s, device=game.planner.times.device)
-    look = ChunkedFunction(lambda grids: policy(grids)[0], BATCH, lambda fn: fn)
+    logits_of = ChunkedFunction(lambda grids: policy(grids)[0], BATCH, lambda fn: fn)
     decisions = count()
 
     @torch.no_grad()
     def choose(perception: Perception) -> Tensor:
-        logits = look(game.draw(perception))
+        logits = logits_of(game.draw(perception))
         action = greedy_action(logits) if episode_key is None else _drawn(logits, episode_key, next(decisions))
         return horizons[action][:, None]
 
@@ -45,17 +45,17 @@ def adaptive_planner(
 
 
 def _drawn(logits: Tensor, episode_key: Tensor, decision: int) -> Tensor:
-    """[E] int64, by inversion of the cumulative probabilities."""
+    """[E] int64: actions drawn by inversion of the cumulative probabilities."""
     threshold = uniform(mix(mix(episode_key) + ACTIONS), decision)
     until = logits.float().softmax(-1).cumsum(-1)
     return (threshold[:, None] > until).sum(-1).clamp(max=logits.shape[-1] - 1)
 
 
 def sequence_planner(horizon_s: Tensor) -> ChooseHorizon:
-    """Plays `horizon_s` [T, E] (s), its next row at every decision.
+    """The rows of `horizon_s` [T, E] (s), one per decision.
 
-    It counts the decisions, as no vehicle perceives the time: make one for each batch of episodes that start
-    together, and drive all E tasks in one batch (`n_worlds` = E), in step.
+    The choice counts its decisions, since no vehicle perceives the time. It is made anew for each batch of episodes
+    that start together, and all E tasks are driven in lockstep in one batch (`n_worlds` = E).
     """
     rows = iter(horizon_s[:, :, None])
 

@@ -26,6 +26,14 @@ _alone = threading.Lock()
 """Held while Hydra's version base is ours."""
 
 
+def load_config(*overrides: str) -> RunConfig:
+    """The configuration of `python -m negopipe <overrides>`, checked and frozen.
+
+    UserError names the key that is wrong, its value and what is allowed.
+    """
+    return compose_config(overrides)
+
+
 def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
     """The configuration that `python -m negopipe <overrides>` would run with; UserError where it would refuse them.
 

@@ -1,7 +1,13 @@
-"""gymnasium's door to the game: `negopipe/NarrowLane-v0`, single and vectorised.
+"""The game as a gymnasium environment, `negopipe/NarrowLane-v0`, single and vectorised.
+
+    import negopipe
+    env = negopipe.make_env(["scenario.n_social=2"])
+    envs = negopipe.make_vec_env(64)
+
+or, where only gymnasium is to be called,
 
     import gymnasium, negopipe.envs.gymnasium
-    env = gymnasium.make("negopipe/NarrowLane-v0", overrides=("scenario.n_social=2",))
+    env = gymnasium.make("negopipe/NarrowLane-v0", overrides=["scenario.n_social=2"])
     envs = gymnasium.make_vec("negopipe/NarrowLane-v0", num_envs=64, vectorization_mode="vector_entry_point")
 
 Observations are the occupancy grids, uint8, 0 = free and 255 = occupied, as image policies expect them; actions
@@ -44,6 +50,25 @@ KEYS = (
 """What an environment depends on."""
 GROUPS = ("policy", "evaluation", "experiment")
 """Their options set some of these keys, and others."""
+
+
+def make_env(overrides: Sequence[str] = (), render_mode: str | None = None) -> gymnasium.Env[np.ndarray, np.int64]:
+    """One world, `NarrowLaneEnv`, made by `gymnasium.make`: with its `spec` and gymnasium's usual wrappers.
+
+    overrides: those of the command line that an environment depends on, `["+experiment=yield"]`; UserError for another
+    render_mode: None, since nothing is drawn
+    """
+    return gymnasium.make(ENV_ID, render_mode=render_mode, overrides=overrides)
+
+
+def make_vec_env(
+    num_envs: int, overrides: Sequence[str] = ()
+) -> gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
+    """`num_envs` worlds in one batched program, `NarrowLaneVectorEnv`, made by `gymnasium.make_vec`.
+
+    overrides: as of `make_env`
+    """
+    return gymnasium.make_vec(ENV_ID, num_envs=num_envs, vectorization_mode="vector_entry_point", overrides=overrides)
 
 
 def config_of(overrides: Sequence[str]) -> RunConfig:

@@ -19,9 +19,9 @@ from negopipe.simulation.starts import check_starts
 class CurriculumStageConfig:
     """One stage.
 
-    name: shown in the progress line and the learning curves
+    name: label in the progress line and the learning curves
     n_iterations: K_i, iterations of collecting and updating
-    families: D_i, the start-distance distribution per style and the weight of each style's tasks
+    families: D_i, the distributions of start distances and styles, and their weights
     """
 
     name: Label
@@ -31,7 +31,7 @@ class CurriculumStageConfig:
 
 @schema
 class StartsConfig:
-    """How training starts its tasks beside what the families say; the evaluation's starts are the scenario's."""
+    """Starts of the training tasks that the families leave open; those of the evaluation are the scenario's."""
 
     ego_start_distance_m: Interval
     start_speed_mps: Interval
@@ -39,9 +39,9 @@ class StartsConfig:
 
 @schema
 class AdvanceConfig:
-    """When a stage ends early.
+    """Condition for the early end of a stage.
 
-    success_rate: of the stage's latest `n_episodes` episodes so many were a success
+    success_rate: least share of successes among the stage's latest `n_episodes` episodes
     """
 
     success_rate: Fraction
@@ -50,14 +50,16 @@ class AdvanceConfig:
 
 @schema
 class CurriculumConfig:
-    """The stages in order. The paper samples M tasks and N trajectories of each per iteration; here every world
-    draws a new task from D_i when its episode ends, so M is the number of episodes and N is 1.
+    """The stages in order.
 
-    advance: null = every stage takes its K_i iterations; else a stage may end early. The last stage takes all
-        iterations that are left, so that a training has sum K_i iterations in any case
-    starts: of all stages
-    rewards: of stages, by name, that pay otherwise than the run's reward
-    demonstrations: null = the policy learns from its own decisions alone
+    The paper samples M tasks and N trajectories of each per iteration. Here every world draws a new task from D_i when
+    its episode ends, so M is the number of episodes and N is 1.
+
+    advance: null = every stage takes its K_i iterations; otherwise a stage may end early. The last stage takes all
+        iterations that are left, so a training has sum K_i iterations in any case
+    starts: starts of the tasks in all stages
+    rewards: by the name of the stage, rewards that differ from the run's
+    demonstrations: null = the policy learns from its own decisions only
     """
 
     stages: Annotated[tuple[CurriculumStageConfig, ...], Field(min_length=1)]
@@ -67,11 +69,11 @@ class CurriculumConfig:
     demonstrations: DemonstrationsConfig | None
 
     def reward(self, stage: CurriculumStageConfig, otherwise: RewardConfig) -> RewardConfig:
-        """What a stage pays."""
+        """Reward of a stage; `otherwise` where the stage has none of its own."""
         return self.rewards.get(stage.name, otherwise)
 
     def scenario(self, evaluated: ScenarioConfig) -> ScenarioConfig:
-        """The scenario in which training drives, for the one in which the policy is evaluated."""
+        """The scenario of the training, from the one of the evaluation."""
         return replace(
             evaluated,
             ego_start_distance_m=self.starts.ego_start_distance_m,
@@ -106,9 +108,9 @@ class CurriculumConfig:
 
 
 class Curriculum:
-    """Where a training stands.
+    """Progress of a training through the stages.
 
-    index: of the stage in `config.stages`
+    index: position of the current stage in `config.stages`
     """
 
     def __init__(self, config: CurriculumConfig) -> None:
@@ -125,10 +127,10 @@ class Curriculum:
         """Iterations of all stages together."""
         return sum(stage.n_iterations for stage in self.config.stages)
 
-    def count(self, successes: Iterable[bool]) -> bool:
-        """An iteration is done; whether the next one belongs to another stage.
+    def finish_iteration(self, successes: Iterable[bool]) -> bool:
+        """Count an iteration; returns whether it was the last of its stage (of the final stage it never is).
 
-        successes: of the episodes that ended in it
+        successes: outcomes of the episodes that ended in the iteration
         """
         self._n_in_stage += 1
         self._successes.extend(successes)
@@ -144,11 +146,11 @@ class Curriculum:
         return advance is not None and n == advance.n_episodes and sum(self._successes) >= advance.success_rate * n
 
     def state_dict(self) -> dict[str, Any]:
-        """All of it, as JSON can say it."""
+        """The whole state, as JSON values."""
         return {"index": self.index, "n_in_stage": self._n_in_stage, "successes": list(self._successes)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where `state_dict` was taken."""
+        """Restore what `state_dict` returned."""
         self.index, self._n_in_stage = state["index"], state["n_in_stage"]
         self._successes.clear()
         self._successes.extend(state["successes"])

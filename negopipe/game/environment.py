@@ -1,9 +1,9 @@
-"""The game as a reinforcement-learning environment: batched worlds that pick a prediction horizon and drive on."""
+"""The game as a reinforcement-learning environment: batched worlds whose actions are prediction horizons."""
 
 import torch
 from torch import Tensor
 
-from negopipe.game.game import Game, joint_horizon
+from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.learning.rollout import Transition
 from negopipe.simulation.scenario import TaskSampler
@@ -15,9 +15,8 @@ from negopipe.tensors.tree import map_tensors, named_tensors, tree_where, with_t
 class NegotiationEnv:
     """E worlds of one scenario; satisfies `negopipe.learning.rollout.Environment`.
 
-    The action of the ego is an index into `horizons_s`; social vehicles drive in the style of their task. A world
-    whose episode is over starts a new task at once, drawn from `sampler`, which may be replaced at any time
-    (the curriculum does).
+    The ego's action is an index into `horizons_s`. Social vehicles drive in the styles of their tasks. A world whose
+    episode is over starts a new task at once, drawn from `sampler`, which the curriculum replaces at stage ends.
     """
 
     def __init__(
@@ -34,20 +33,19 @@ class NegotiationEnv:
         self.n_actions = len(horizons_s)
 
     def restart(self, is_chosen: Tensor | None = None) -> None:
-        """Start a new task in every world; only in the chosen ones [E] bool, which get the tasks that they would get
-        among all."""
+        """Start a new task in every world, or in the chosen ones [E] bool only, which get the same tasks either way."""
         started = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
         self.world: World = started if is_chosen is None else tree_where(is_chosen, started, self.world)
         self._observation = self.game.see(self.world)
 
     def observe(self) -> Tensor:
-        """[E, F, H, W] uint8, 0 or 1: the grids that the ego sees now."""
+        """[E, F, H, W] uint8, 0 or 1: the present grids of the ego."""
         return self._observation
 
     def step(self, action: Tensor) -> Transition:
         """Drive every vehicle for one control step; `action` [E] int64 is the ego's."""
         world = self.world
-        moved, events, reached = self.game.advance(world, joint_horizon(world, self._horizons[action]))
+        moved, events, reached = self.game.advance(world, world.horizons(self._horizons[action]))
         which = (events.is_terminated | events.is_truncated).nonzero()[:, 0]
         final = self._start_again(moved, reached, which)
         return Transition(
@@ -65,20 +63,20 @@ class NegotiationEnv:
         )
 
     def state_dict(self) -> dict[str, Tensor]:
-        """All that the next step depends on: the worlds, what is seen of them and the stream of tasks."""
+        """State on which the next step depends: the worlds, their observations and the stream of tasks."""
         seen, tasks = self._observation, self.sampler.generator.get_state()
         return {**add_prefix("world", named_tensors(self.world)), "observation": seen, "tasks": tasks}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Go on where `state_dict` was taken; the sampler's families are not part of it."""
+        """Restore what `state_dict` returned; the sampler's families are not part of it."""
         self.world = with_tensors(self.world, strip_prefix("world", state))
         self._observation = state["observation"].to(self._observation.device)
         self.sampler.generator.set_state(state["tasks"])
 
     def _start_again(self, moved: World, reached: Tensor, which: Tensor) -> Tensor:
-        """Go on from `moved`, seeing `reached` [E, F, H, W], with new tasks in the D worlds `which`.
+        """Continue from `moved`, with observations `reached` [E, F, H, W] and new tasks in the D worlds `which`.
 
-        Returns what was seen last in those, [D, F, H, W].
+        Returns the final observations of the D episodes that are over, [D, F, H, W].
         """
         self.world, self._observation = moved, reached
         final = reached[which]

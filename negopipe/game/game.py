@@ -1,4 +1,4 @@
-"""The parts that make one decision, built once for a configuration."""
+"""The game: the parts of one decision, built once for a configuration."""
 
 import shutil
 from collections.abc import Callable
@@ -19,11 +19,11 @@ from negopipe.simulation.state import EGO, Motion, VehicleState, World
 from negopipe.tensors.chunked import ChunkedFunction
 
 CHUNKS = {"cpu": 64, "cuda": 1024}
-"""Worlds that are computed at once: large enough for the cost of a call; on a CPU small enough for the cache."""
+"""Worlds per call: many enough to outweigh the cost of a call, on a CPU few enough to stay in the cache."""
 
 
 class GameConfig(Protocol):
-    """What a game depends on; `negopipe.config.root.RunConfig` has it all."""
+    """The parts of a configuration that make a game; `negopipe.config.root.RunConfig` has them."""
 
     @property
     def scenario(self) -> ScenarioConfig: ...
@@ -43,19 +43,17 @@ class GameConfig(Protocol):
 
 @dataclass(frozen=True)
 class Game:
-    """The parts that make one decision, each a function of tensors; compiled or not, they are called alike.
-
-    All take any number of worlds.
+    """The parts of one decision, each a function of tensors, eager or compiled, for any number of worlds.
 
     simulator: resets worlds and knows the road
-    planner: what `plan` belongs to
+    planner: the planner of `plan`
     plan: Perception, horizon [E, S] (s) -> Motion [E, S]
     perceive: World -> Perception of all vehicles
     step: World, VehicleState [E, V] -> World, Events
     draw: Perception of one agent -> [E, F, H, W] uint8 grids
-    drive: World, horizon [E, V] (s) -> World, Events: perceive, plan and step as one, for all vehicles
-    advance: like `drive`, and what the ego sees then
-    see: World -> [E, F, H, W] uint8 grids of the ego: perceive and draw as one
+    drive: World, horizon [E, V] (s) -> World, Events: perceive, plan and step in one call, for all vehicles
+    advance: World, horizon [E, V] (s) -> World, Events, grids of the ego: `drive` and `see` in one call
+    see: World -> [E, F, H, W] uint8 grids of the ego: perceive and draw in one call
     observation_shape: (F, H, W)
     """
 
@@ -71,15 +69,8 @@ class Game:
     observation_shape: tuple[int, int, int]
 
 
-def joint_horizon(world: World, ego_horizon: Tensor) -> Tensor:
-    """[E, V] float32, s: the horizons of one decision, the ego's choice [E] beside the styles of the others."""
-    horizon = world.style_horizon.clone()
-    horizon[:, EGO] = ego_horizon
-    return horizon
-
-
 def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compiled: bool = False) -> Game:
-    """Everything that depends on the configuration but not on a task."""
+    """The game of a configuration; nothing in it depends on a task."""
     scenario, observation = config.scenario, config.observation
     sensor = Sensor(config.perception, scenario.dt_s, history_steps(observation, scenario.dt_s))
     simulator = Simulator(scenario, sensor.memory_steps, build_dynamics(config.dynamics, scenario.dt_s), device)
@@ -115,9 +106,11 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
 
 
 def _compile(fn: Callable) -> Callable:
-    """Without guards, which cost as much as a tenth of the work: `ChunkedFunction` keeps shapes and dtypes, and nothing
-    that a game is made of ever changes. Compiled code belongs to a code object; so that nobody else's is taken without
-    guards to tell, every function gets one of its own. In one thread: a chunk is too small to gain from more.
+    """`fn` compiled without guards and for one thread.
+
+    Guards cost as much as a tenth of the work. They are not needed: `ChunkedFunction` keeps shapes and dtypes, and the
+    parts of a game never change. Compiled code belongs to a code object, and without guards a function could be given
+    the code of another one, so every function gets a code object of its own. A chunk is too small for more threads.
     """
     fn.__code__ = fn.__code__.replace()
     no_guards = torch.compiler.skip_all_guards_unsafe
@@ -125,6 +118,6 @@ def _compile(fn: Callable) -> Callable:
 
 
 def has_compiler() -> bool:
-    """A C++ compiler is found, which torch.compile needs on the CPU: that of the variable CXX, if it names one."""
+    """Whether there is a C++ compiler, which torch.compile needs on the CPU: that of the variable CXX, if it is set."""
     named = environment.variable("CXX")
     return any(shutil.which(name) for name in ([named] if named else ["g++", "clang++"]))

@@ -13,8 +13,8 @@ from negopipe.schema import Real, schema
 class RewardConfig:
     """Reward per event; `conf/reward/` has both of the paper's readings.
 
-    step: every decision, the last one too (docs/reading.md, "reward")
-    collision: once, when a collision ends the episode
+    step: at every decision, the last one included (docs/reading.md, "reward")
+    collision: once, at the collision that ends the episode
     success: once, when all vehicles have reached their targets
     """
 
@@ -33,7 +33,7 @@ class RewardConfig:
 
 
 def reward(config: RewardConfig, is_collision: Tensor, is_success: Tensor) -> Tensor:
-    """[E] float32, the reward of one decision; `is_collision` and `is_success` [E] bool."""
+    """[E] float32: reward of one decision; `is_collision` and `is_success` [E] bool."""
     value = torch.full_like(is_collision, config.step, dtype=torch.float32)
     value = value + config.collision * is_collision
     return value + config.success * is_success

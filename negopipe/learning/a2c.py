@@ -14,7 +14,7 @@ from negopipe.schema import schema
 
 @schema
 class A2cConfig(FirstOrderConfig):
-    """A2C has nothing beside what the first-order algorithms share."""
+    """Options of A2C: those of all first-order algorithms."""
 
     kind: Literal["a2c"]
 

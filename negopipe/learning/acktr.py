@@ -8,17 +8,17 @@ One update on a minibatch of N decisions, with the network's parameters theta:
     trust region      eta = min(eta_max, sqrt(2 delta / v^T F_hat v)),  with v^T F_hat v = v^T m
     step              theta <- theta - eta v
 
-Decisions
+Design decisions
     One backward pass. F is the Fisher matrix of both outputs (actions sampled from the policy; the normalised
     value a unit Gaussian), as Wu et al. propose for a shared encoder.
     Two trust regions. delta bounds the policy: the encoder's and the policy head's share of v^T F_hat v. The
     value head cannot move the policy and has a delta of its own, so its error, which is large at first, does
-    not use up the policy's budget.
-    Momentum is taken over gradients, before the preconditioning, so that the step that is bounded is the step
-    that is made. Where it points uphill, v^T grad L <= 0, it is dropped.
-    F_hat knows nothing of how layers act together and underestimates the KL several times over. So the KL of
-    the step is measured, and where it exceeds delta the step is shortened by sqrt(delta / KL). The value's is
-    measured too: without that, value errors of the first updates can shrink the encoder's features to nothing.
+    not use up the budget of the policy.
+    Momentum of gradients. It is taken before the preconditioning, so the step that is bounded is the step that is
+    made. Where it points uphill, v^T grad L <= 0, it is dropped.
+    Measured KL. F_hat leaves out the interaction of layers and underestimates the KL several times over. So the KL
+    of the step is measured, and where it exceeds delta the step is shortened by sqrt(delta / KL). That of the value
+    is measured too: otherwise value errors of the first updates can shrink the encoder's features to nothing.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,12 +38,13 @@ from negopipe.tensors.prefixes import add_prefix, strip_prefix
 
 @schema
 class AcktrConfig(UpdateConfig):
-    """Beside what all algorithms share:
+    """Options of ACKTR, beside those of all algorithms.
+
+    The first three are values at the start of training: where steps shrink to a share, deltas shrink to its square.
 
     learning_rate: eta_max
-    kl_clip: delta of the policy, an upper bound of an update's KL(old || new)
-    value_kl_clip: the same for the value, in half squared standard deviations of the return
-        (all three at the start of training; where steps shrink to a share of their length, deltas shrink to its square)
+    kl_clip: delta of the policy, an upper bound of an update's KL(old || new), nat
+    value_kl_clip: delta of the value, in half squared standard deviations of the return
     momentum: mu
     kfac: quality and cost of the Fisher matrix
     """
@@ -61,9 +62,9 @@ class AcktrConfig(UpdateConfig):
 
 
 class Acktr:
-    """Satisfies `negopipe.learning.update.Algorithm`.
+    """ACKTR for a policy; satisfies `negopipe.learning.update.Algorithm`.
 
-    generator: samples the Fisher matrix's targets; on the policy's device
+    generator: samples the targets of the Fisher matrix; on the policy's device
     """
 
     def __init__(self, policy: ActorCritic, config: AcktrConfig, generator: Generator) -> None:
@@ -74,11 +75,11 @@ class Acktr:
 
     @property
     def n_skipped(self) -> int:
-        """Updates, statistics and inversions."""
+        """Number of updates, statistics and inversions that were skipped."""
         return self._n_unusable + self.kfac.n_failures
 
     def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
-        """Adds policy_step and value_step (eta) to what every algorithm measures."""
+        """See `Algorithm.step`; policy_step and value_step (eta) are returned as well."""
         self.kfac.refresh(lambda n: fisher_loss(self.policy, batch.observation[:n], self.generator))
         outputs, parts = differentiate(self.policy, batch, policy_gradient_loss, self.config, progress)
         n = self.config.n_probe
@@ -103,7 +104,7 @@ class Acktr:
         """Move the parameters within both trust regions; a gradient that is zero or not finite moves nothing.
 
         probe: observations [n, *obs] on which the KL is measured
-        before: what the network said of them before the step
+        before: outputs of the network for them before the step
         """
         norm = inner(gradient, gradient)
         if not (self.kfac.is_ready and bool(norm.isfinite()) and bool(norm > 0)):
@@ -125,7 +126,7 @@ class Acktr:
         return {**moved, "policy_step": policy_step * policy_share, "value_step": value_step * value_share}
 
     def _move(self, v: dict[str, Tensor], names: list[str], bound: float, shrink: float) -> Tensor:
-        """Step along -v in some layers, within a trust region of their own; returns eta."""
+        """Step along -v in the layers `names`, within a trust region of their own; returns eta."""
         quadratic = inner({n: v[n] for n in names}, {n: self.momentum[n] for n in names})
         eta = trust_region_step(quadratic, bound, shrink * self.config.learning_rate)
         self._add(v, names, -eta)
@@ -151,7 +152,7 @@ def trust_region_step(quadratic: Tensor, kl_clip: float, learning_rate: float) -
 
 
 def kl_backtracking(kl: Tensor, kl_clip: float) -> Tensor:
-    """The share of a step of measured `kl` that keeps to `kl_clip`, for a KL quadratic in the step; 0 if NaN."""
+    """Largest share of a step of measured `kl` within `kl_clip`, for a KL that is quadratic in the step; 0 if NaN."""
     return torch.where(kl.isfinite(), (kl_clip / kl.clamp(min=kl_clip)).sqrt(), 0.0)
 
 

@@ -1,4 +1,4 @@
-"""ACKTR's direction with Adam as the step rule: the paper names both.
+"""The direction of ACKTR with Adam as the step rule; the paper names both.
 
 v     = F_hat^-1 grad L
 theta <- Adam(theta, v), with the paper's rates for policy and value
@@ -21,7 +21,7 @@ from negopipe.tensors.prefixes import add_prefix, strip_prefix
 
 @schema
 class AcktrAdamConfig(UpdateConfig):
-    """Beside what all algorithms share:
+    """Options of ACKTR with Adam, beside those of all algorithms.
 
     adam: rates
     kfac: quality and cost of the Fisher matrix
@@ -37,9 +37,9 @@ class AcktrAdamConfig(UpdateConfig):
 
 
 class AcktrAdam:
-    """Satisfies `negopipe.learning.update.Algorithm`.
+    """ACKTR with Adam for a policy; satisfies `negopipe.learning.update.Algorithm`.
 
-    generator: samples the Fisher matrix's targets; on the policy's device
+    generator: samples the targets of the Fisher matrix; on the policy's device
     """
 
     def __init__(self, policy: ActorCritic, config: AcktrAdamConfig, generator: Generator) -> None:
@@ -49,7 +49,7 @@ class AcktrAdam:
 
     @property
     def n_skipped(self) -> int:
-        """Updates, statistics and inversions."""
+        """Number of updates, statistics and inversions that were skipped."""
         return self.adam.n_skipped + self.kfac.n_failures
 
     def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:

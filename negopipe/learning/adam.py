@@ -24,10 +24,10 @@ class AdamConfig:
 
 @schema
 class FirstOrderConfig(UpdateConfig):
-    """Beside what all algorithms share:
+    """Options of the first-order algorithms, beside those of all algorithms.
 
     adam: rates
-    gradient_norm_max: a longer gradient is shortened to this
+    gradient_norm_max: largest norm of the gradient, to which a longer one is scaled
     """
 
     adam: AdamConfig
@@ -35,7 +35,7 @@ class FirstOrderConfig(UpdateConfig):
 
 
 class TwoRateAdam:
-    """Steps along the gradients that a backward pass left at the policy's parameters."""
+    """Adam on the gradients that a backward pass has left at the policy's parameters."""
 
     def __init__(self, policy: ActorCritic, config: AdamConfig) -> None:
         self._rates = (config.policy_rate, config.value_rate)
@@ -48,7 +48,7 @@ class TwoRateAdam:
         self.n_skipped = 0
 
     def step(self, shrink: float) -> None:
-        """One step at `shrink` times the rates; where a gradient is not finite, or all are zero, nothing moves."""
+        """One step at `shrink` times the rates; it is skipped where a gradient is not finite or all are zero."""
         gradients = [p.grad for p in self._parameters.values() if p.grad is not None]
         norm = nn.utils.get_total_norm(gradients)
         if not (bool(norm.isfinite()) and bool(norm > 0)):
@@ -79,7 +79,7 @@ class TwoRateAdam:
 class FirstOrder:
     """Adam down the gradient of a loss; satisfies `negopipe.learning.update.Algorithm`.
 
-    policy_loss: of the network's outputs for a minibatch, differentiable
+    policy_loss: differentiable function of the network's outputs for a minibatch
     """
 
     def __init__(
@@ -107,6 +107,6 @@ class FirstOrder:
 
 
 def _format_of(parameter: Tensor) -> torch.memory_format:
-    """Moments that lie in memory like their weights give the same sums."""
+    """Memory format of a parameter; moments in the format of their weights give the same sums."""
     is_last = parameter.dim() == 4 and parameter.is_contiguous(memory_format=torch.channels_last)
     return torch.channels_last if is_last else torch.contiguous_format

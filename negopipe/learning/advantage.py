@@ -25,7 +25,7 @@ class KStepConfig:
 class GaeConfig:
     """Generalised advantage estimation.
 
-    gae_lambda: lambda; 0 = one step, 1 = all that the rollout has
+    gae_lambda: lambda; 0 = one step, 1 = all steps of the rollout
     """
 
     kind: Literal["gae"]
@@ -47,11 +47,11 @@ def estimate_advantage(rollout: Rollout, gamma: float, config: KStepConfig | Gae
 def k_step_return(rollout: Rollout, gamma: float, k: int) -> Tensor:
     """The return of the next k steps plus the discounted value of the state reached, [T, E] float32.
 
-    R^k_t = sum_{i<k} gamma^i r_{t+i} + gamma^k V(s_{t+k}), cut short where the rollout or the episode ends:
-    the rollout's end bootstraps with V of the last state, a truncation with V of the episode's final state,
-    a termination with nothing. The value stands once, outside the sum of Eq. 6 (docs/reading.md, "advantage").
+    R^k_t = sum_{i<k} gamma^i r_{t+i} + gamma^k V(s_{t+k}), with fewer steps where the rollout or the episode ends.
+    The end of the rollout bootstraps with V of the last state, a truncation with V of the episode's final state,
+    a termination with 0. The value stands once, outside the sum of Eq. 6 (docs/reading.md, "advantage").
 
-    Computed by k sweeps of R^n_t = r_t + gamma R^{n-1}_{t+1}, from R^0 = V.
+    It is computed by k sweeps of R^n_t = r_t + gamma R^{n-1}_{t+1}, from R^0 = V.
     """
     is_done, end_value = _ends(rollout)
     returns = rollout.value
@@ -64,10 +64,10 @@ def k_step_return(rollout: Rollout, gamma: float, k: int) -> Tensor:
 def lambda_return(rollout: Rollout, gamma: float, gae_lambda: float) -> Tensor:
     """The average of all k-step returns, (1 - lambda) sum_k lambda^{k-1} R^k_t, [T, E] float32.
 
-    Cut short as in `k_step_return`; what is left of the weights falls to the longest return. Less V(s_t) it is the
+    The steps end as in `k_step_return`, and the remaining weights fall to the longest return. Less V(s_t) it is the
     generalised advantage (Schulman et al. 2016, Eq. 16).
 
-    Computed backwards: R_t = r_t + gamma ((1 - lambda) V(s_{t+1}) + lambda R_{t+1}).
+    It is computed backwards: R_t = r_t + gamma ((1 - lambda) V(s_{t+1}) + lambda R_{t+1}).
     """
     is_done, end_value = _ends(rollout)
     returns = torch.empty_like(rollout.reward)
@@ -80,5 +80,5 @@ def lambda_return(rollout: Rollout, gamma: float, gae_lambda: float) -> Tensor:
 
 
 def _ends(rollout: Rollout) -> tuple[Tensor, Tensor]:
-    """[T, E]: whether the episode ends with this step, and the value of the state that it leaves there."""
+    """[T, E] each: whether the episode ends with this step, and the value of its final state."""
     return rollout.is_done, torch.where(rollout.is_terminated, 0.0, rollout.final_value)

@@ -1,12 +1,11 @@
-"""Learning from demonstrations beside one's own decisions: the demonstration-augmented policy gradient
-(Rajeswaran et al. 2018, Eq. 5), with a weight that shrinks linearly instead of geometrically.
+"""Demonstrations: the demonstration-augmented policy gradient (Rajeswaran et al. 2018, Eq. 5).
 
-    L_pi = -1/(N + M) [ sum_{own} A_t log pi(a_t|s_t)  +  w sum_{shown} log pi(a|s) ]
-    w    = w_0 max(0, 1 - progress / until)
+    L_pi = -1/(N + M) [ sum_{own} A_t log pi(a_t|s_t)  +  w sum_{demonstrated} log pi(a|s) ]
+    w    = w_0 max(0, 1 - progress / until), linear where the original shrinks geometrically
 
-N own decisions of the rollout, whose advantages A_t have a spread of 1, and M that are shown. So to show a decision
-is to say that it was w spreads better than expected, and every algorithm learns from it as it does from its own. What
-is shown leaves the value alone: it is that of the policy, not of who demonstrates.
+There are N own decisions of the rollout, whose advantages A_t have a standard deviation of 1, and M demonstrated ones.
+A demonstrated decision has the advantage w, w standard deviations better than expected, so every algorithm learns from
+it as from the policy's own. Demonstrations do not train the value, which is that of the policy.
 """
 
 from dataclasses import dataclass
@@ -23,14 +22,14 @@ from negopipe.schema import Fraction, PositiveFloat, PositiveInt, schema
 
 @schema
 class DemonstrationsConfig:
-    """What is demonstrated, found by a search that knows everything (`negopipe.search.oracle`), and how long.
+    """The demonstrations, found by a search with full knowledge (`negopipe.search.oracle`), and their weight.
 
-    n_tasks: of each family of the last stage, drawn as training draws them
-    population, rounds: of the search; as many rounds again take out switches that have no effect, so that decisions
-        that are alike are shown alike
+    n_tasks: tasks of each family of the last stage, drawn as training draws them
+    population, rounds: size of the search; as many rounds again remove switches without an effect, so that equal
+        situations have equal demonstrations
     n_decisions: M, drawn anew in every iteration
     weight: w_0
-    until: share of the training after which nothing is shown any more
+    until: share of the training after which there are no demonstrations
     """
 
     n_tasks: PositiveInt
@@ -41,13 +40,13 @@ class DemonstrationsConfig:
     until: Annotated[Fraction, Field(gt=0)]
 
     def weight_at(self, progress: float) -> float:
-        """w when the share `progress` of the training is done."""
+        """w after the share `progress` of the training."""
         return self.weight * max(0.0, 1 - progress / self.until)
 
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """D decisions of somebody who knows how: observation [D, *obs], action [D] int64."""
+    """D demonstrated decisions: observation [D, *obs], action [D] int64."""
 
     config: DemonstrationsConfig
     observation: Tensor
@@ -55,9 +54,9 @@ class Demonstrations:
 
     @torch.no_grad()
     def show(self, policy: ActorCritic, progress: float, generator: Generator) -> Decisions | None:
-        """M of them as decisions to learn from, None when their time is over.
+        """M demonstrations as decisions to learn from; None where their weight is 0.
 
-        generator: draws them; on the policy's device
+        generator: draws the demonstrations; on the policy's device
         """
         weight = self.config.weight_at(progress)
         if weight == 0:

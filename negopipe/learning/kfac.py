@@ -14,7 +14,7 @@ Symbols, per layer (a linear layer is a convolution with one position)
     G   [m, m]      output factor, 1/(N S) sum_N sum_S d d^T, averaged exponentially
     F               A (x) G, this layer's block of the Fisher matrix of the mean log-likelihood
     lambda          damping
-    pi              sqrt((tr A / n) / (tr G / m)): how the damping is shared, Martens & Grosse 2015, Sec. 6.3
+    pi              sqrt((tr A / n) / (tr G / m)), which splits the damping (Martens & Grosse 2015, Sec. 6.3)
     F_hat           (A + pi sqrt(lambda) I) (x) (G + sqrt(lambda)/pi I), the damped block
     g   [m, n]      gradient of the loss with respect to [W, bias]
     v   [m, n]      natural gradient F_hat^-1 g = (G + ..)^-1 g (A + ..)^-1
@@ -37,7 +37,7 @@ from negopipe.schema import Fraction, PositiveFloat, PositiveInt, schema
 
 Layer = nn.Linear | nn.Conv2d
 DAMPING_RETRIES = 6
-"""How often a failed Cholesky factorisation is tried again, each time with ten times the damping."""
+"""Number of retries of a failed Cholesky factorisation, each with ten times the damping."""
 
 
 @schema
@@ -109,10 +109,10 @@ class Kfac:
         self.n_failures = 0
 
     def refresh(self, fisher_loss: Callable[[int], Tensor]) -> None:
-        """Once per update: take statistics and invert, where the schedule says so.
+        """Take statistics and invert, where the schedule says so; to be called once per update.
 
-        fisher_loss: runs the network on N samples and returns -sum_N log-likelihood of targets that are
-            sampled from the network's own output (not the data's: that would be the empirical Fisher)
+        fisher_loss: runs the network on N samples and returns -sum_N log-likelihood of targets that are sampled from
+            the network's own output (targets of the data would give the empirical Fisher matrix)
         """
         if self.n_updates % self.config.statistics_interval == 0:
             self._take_statistics(lambda: fisher_loss(self.config.n_statistics))
@@ -125,17 +125,17 @@ class Kfac:
         return {name: precondition(g, self.inverses[name]) for name, g in gradient.items()}
 
     def gradient(self) -> dict[str, Tensor]:
-        """g of every layer, [m, n] float32, from what a backward pass left at the weights."""
+        """g of every layer, [m, n] float32, from the gradients that a backward pass has left at the weights."""
         return {name: layer_gradient(layer) for name, layer in self.layers.items()}
 
     def set_gradient(self, gradient: dict[str, Tensor]) -> None:
-        """Put g [m, n] of every layer where a backward pass leaves it."""
+        """Set the gradients of the weights to g [m, n] of every layer."""
         for name, layer in self.layers.items():
             set_layer_gradient(layer, gradient[name])
 
     @property
     def is_ready(self) -> bool:
-        """Whether there are inverses yet; there are none only where every set of statistics was unusable."""
+        """Whether there are inverses; there are none only where every set of statistics was unusable."""
         return bool(self.inverses)
 
     def state_dict(self) -> dict[str, Tensor]:
@@ -160,7 +160,9 @@ class Kfac:
         inputs, output_gradients = record(self.layers, fisher_loss)
         new = {
             name: Factors(
-                input_factor(layer, self._enough(inputs[name], output_gradients[name]), self.config.max_factor_size),
+                input_factor(
+                    layer, self._samples_for(inputs[name], output_gradients[name]), self.config.max_factor_size
+                ),
                 output_factor(layer, output_gradients[name]),
             )
             for name, layer in self.layers.items()
@@ -172,8 +174,8 @@ class Kfac:
         self.factors = {name: _average(self.factors.get(name), f, decay) for name, f in new.items()}
         self.n_statistics_taken += 1
 
-    def _enough(self, x: Tensor, d: Tensor) -> Tensor:
-        """As many samples of a layer's input x as hold `n_patches` positions; all for a linear layer."""
+    def _samples_for(self, x: Tensor, d: Tensor) -> Tensor:
+        """The first samples of a layer's input x, which hold `n_patches` positions; all samples for a linear layer."""
         return x if d.dim() == 2 else x[: self.config.n_cut(d[0, 0].numel())]
 
     def _invert(self) -> None:
@@ -187,7 +189,7 @@ class Kfac:
 
 
 def fisher_loss(policy: ActorCritic, observation: Tensor, generator: Generator) -> Tensor:
-    """-sum log-likelihood of targets drawn from the network's own output, whose gradients make up F.
+    """-sum log-likelihood of targets drawn from the network's own output; its gradients make up F.
 
     Actions are drawn from pi; the normalised value is the mean of a unit Gaussian.
     """
@@ -317,7 +319,7 @@ def _inverse(factor: Tensor, damping: Tensor) -> Tensor:
     eye = torch.eye(factor.shape[-1], device=factor.device)
     root, info = torch.linalg.cholesky_ex(factor + damping * eye)
     is_definite = (info == 0)[..., None, None]
-    inverse = torch.cholesky_inverse(torch.where(is_definite, root, eye))  # which raises where a root is singular
+    inverse = torch.cholesky_inverse(torch.where(is_definite, root, eye))  # raises where a root is singular
     return torch.where(is_definite, inverse, torch.nan).contiguous()
 
 

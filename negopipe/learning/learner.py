@@ -1,7 +1,8 @@
-"""The learner: from a rollout to updates of the policy, by the algorithm that the config names.
+"""The learner: updates of the policy from a rollout, by the algorithm of the config.
 
-Scale. Returns are normalised by their running mean and spread sigma (the network's last layer is rescaled so that
-V does not change), advantages by the spread within the rollout: no algorithm sees the size of the rewards.
+Returns are normalised by their running mean and standard deviation sigma; the network's last layer is rescaled so that
+V does not change. Advantages are normalised by their standard deviation in the rollout. No algorithm depends on the
+scale of the rewards.
 """
 
 from typing import Annotated
@@ -25,11 +26,11 @@ AnyAlgorithmConfig = AcktrConfig | AcktrAdamConfig | A2cConfig | PpoConfig
 AlgorithmConfig = Annotated[AnyAlgorithmConfig, Field(discriminator="kind")]
 
 STD_MIN = 1e-4
-"""Smallest spread of returns and advantages that is divided by, in units of return."""
+"""Smallest standard deviation of returns and advantages that is divided by, in units of return."""
 
 
 def build_algorithm(policy: ActorCritic, config: AnyAlgorithmConfig, generator: Generator) -> Algorithm:
-    """The algorithm that a config belongs to."""
+    """The algorithm of a config."""
     match config:
         case AcktrConfig():
             return Acktr(policy, config, generator)
@@ -42,11 +43,11 @@ def build_algorithm(policy: ActorCritic, config: AnyAlgorithmConfig, generator: 
 
 
 class Learner:
-    """Owns what learning needs beside the policy's weights, and changes those in place.
+    """The state of learning beside the policy's weights, which it changes in place.
 
-    generator: shuffles the minibatches, samples the Fisher matrix's targets and what is demonstrated; on the policy's
-        device
-    demonstrations: shown to the policy beside its own decisions
+    generator: shuffles the minibatches, samples the targets of the Fisher matrix and the demonstrations; on the
+        policy's device
+    demonstrations: decisions to learn from beside the policy's own
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class Learner:
 
         progress: share of the training that is done, 0 to 1; the steps and the weight of the entropy shrink with it
         Returns the means over the updates of what `Algorithm.step` returns, explained_variance (of the returns by
-        V before the update), and n_skipped, what was left out so far because it could not be computed.
+        V before the update), and n_skipped, the number of computations skipped so far because they were not finite.
         """
         config = self.config
         advantage, returns = estimate_advantage(rollout, config.gamma, config.advantage)
@@ -75,9 +76,11 @@ class Learner:
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
         fields = (rollout.observation, rollout.action, rollout.log_prob, advantage, returns)
         decisions = Decisions(*(field.flatten(0, 1) for field in fields))
-        shown = None if self.demonstrations is None else self.demonstrations.show(self.policy, progress, self.generator)
-        if shown is not None:
-            decisions = decisions + shown
+        demonstrated = (
+            None if self.demonstrations is None else self.demonstrations.show(self.policy, progress, self.generator)
+        )
+        if demonstrated is not None:
+            decisions = decisions + demonstrated
         metrics = [
             self.algorithm.step(decisions[index], progress)
             for _ in range(config.n_epochs)
@@ -87,7 +90,7 @@ class Learner:
         return {**means, "explained_variance": float(explained), "n_skipped": float(self.algorithm.n_skipped)}
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything but the policy's own weights that the next update depends on."""
+        """State on which the next update depends, without the policy's weights."""
         state = add_prefix("algorithm", self.algorithm.state_dict())
         state["n_rollouts"] = torch.tensor(self.n_rollouts)
         state["return_moments"] = self.return_moments
@@ -95,14 +98,14 @@ class Learner:
         return state
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Go on where `state_dict` was taken; the policy's weights are loaded apart."""
+        """Restore what `state_dict` returned; the policy's weights are loaded separately."""
         self.algorithm.load_state_dict(strip_prefix("algorithm", state))
         self.n_rollouts = int(state["n_rollouts"])
         self.return_moments = state["return_moments"].to(self.policy.value_mean.device)
         self.generator.set_state(state["generator"])
 
     def _track_returns(self, returns: Tensor) -> None:
-        """Move the value's normalisation towards the mean and spread of these returns."""
+        """Move the normalisation of the value towards the mean and standard deviation of these returns."""
         decay = min(self.config.return_decay, 1 - 1 / (self.n_rollouts + 1))
         moments = torch.stack([returns.mean(), returns.square().mean()])
         self.return_moments = self.return_moments.to(moments).lerp(moments, 1 - decay)

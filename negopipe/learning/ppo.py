@@ -1,6 +1,6 @@
 """PPO: proximal policy optimisation with a clipped objective (Schulman et al. 2017), with Adam.
 
-rho_t = pi(a_t|s_t) / pi_old(a_t|s_t), pi_old being the policy that took the decision
+rho_t = pi(a_t|s_t) / pi_old(a_t|s_t), with pi_old the policy that took the decision
 L     = -1/N sum min(rho_t A_t, clip(rho_t, 1 - eps, 1 + eps) A_t) + c_V L_V - c_H H
 theta <- Adam(theta, grad L)
 """
@@ -20,7 +20,7 @@ from negopipe.schema import schema
 
 @schema
 class PpoConfig(FirstOrderConfig):
-    """Beside what the first-order algorithms share:
+    """Options of PPO, beside those of all first-order algorithms.
 
     clip: eps
     """
@@ -35,7 +35,7 @@ def ppo(policy: ActorCritic, config: PpoConfig) -> FirstOrder:
 
 
 def clipped_loss(outputs: Outputs, batch: Decisions, clip: float) -> Tensor:
-    """-1/N sum min(rho A, clip(rho) A): pays nothing for moving farther than `clip` away from pi_old."""
+    """-1/N sum min(rho A, clip(rho) A), without a gradient that would move rho farther than `clip` from 1."""
     ratio = (outputs.log_prob(batch.action) - batch.log_prob).exp()
     clipped = ratio.clamp(1 - clip, 1 + clip)
     return -torch.minimum(ratio * batch.advantage, clipped * batch.advantage).mean()

@@ -1,4 +1,4 @@
-"""What a learner needs of an environment, and rolling a policy out in it.
+"""Rollouts of a policy in an environment, and the interface of an environment.
 
 Axes: T steps of the rollout, E worlds. `*obs` is the shape of one observation.
 """
@@ -16,13 +16,13 @@ from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
 class Transition:
     """One decision of every world.
 
-    observation: [E, *obs], what the policy sees next; where the episode is over, the next one's first
+    observation: [E, *obs], next observation; where the episode is over, the first one of the next episode
     final_observation: [D, *obs] of the states reached in the D worlds whose episode is over, in their order
     reward: [E] float32
-    is_terminated: [E] bool, the episode is over: everyone has arrived, or a collision
-    is_truncated: [E] bool, the episode was cut off at the time limit; the state reached has a value
-    is_success, is_collision: [E] bool, how the episode ended; only meaningful where it did
-    final_info: name -> [D], what else is known of the episodes that are over; no learner looks at it
+    is_terminated: [E] bool, the episode is over: every vehicle has arrived, or a collision
+    is_truncated: [E] bool, the episode was cut off, as at the time limit; the state reached has a value
+    is_success, is_collision: [E] bool, outcome of the episode; meaningful only where it is over
+    final_info: name -> [D], further facts of the episodes that are over, for the record only
     """
 
     observation: Tensor
@@ -36,12 +36,12 @@ class Transition:
 
 
 class Environment(Protocol):
-    """E worlds that step together and start a new episode by themselves where one is over."""
+    """E worlds that step together; where an episode is over, the next one starts at once."""
 
     n_worlds: int
 
     def observe(self) -> Tensor:
-        """What the policy sees now, [E, *obs]."""
+        """Present observations, [E, *obs]."""
         ...
 
     def step(self, action: Tensor) -> Transition:
@@ -60,9 +60,9 @@ class Rollout:
     is_terminated, is_truncated: [T, E] bool
     final_value: [T, E] float32, value of the final observation where truncated, else 0
     last_value: [E] float32, V(s_T)
-    episode_return: [T, E] float32, undiscounted return of the episode that ended with step t, NaN where none
-    episode_steps: [T, E] int64, its decisions, 0 where none
-    is_success, is_collision: [T, E] bool, how it ended, false where none
+    episode_return: [T, E] float32, undiscounted return of the episode that ended with step t; NaN where none did
+    episode_steps: [T, E] int64, its number of decisions; 0 where none ended
+    is_success, is_collision: [T, E] bool, its outcome; false where none ended
     final_info: name -> [N], `Transition.final_info` of the N episodes that ended, in the order of `is_done`
     """
 
@@ -83,19 +83,20 @@ class Rollout:
 
     @property
     def is_done(self) -> Tensor:
-        """[T, E] bool, an episode ended with step t."""
+        """[T, E] bool: an episode ended with step t."""
         return self.is_terminated | self.is_truncated
 
 
 @dataclass(frozen=True)
 class RunningEpisodes:
-    """The episodes that a rollout leaves unfinished: return [E] float32 and decisions [E] int64 so far."""
+    """The episodes that a rollout leaves unfinished: return [E] float32 and number of decisions [E] int64 so far."""
 
     reward_sum: Tensor
     n_steps: Tensor
 
     @classmethod
     def start(cls, n_worlds: int, device: torch.device) -> "RunningEpisodes":
+        """Episodes that are about to start in E worlds."""
         return cls(torch.zeros(n_worlds, device=device), torch.zeros(n_worlds, dtype=torch.int64, device=device))
 
 
@@ -106,7 +107,7 @@ def collect(
     """Roll `policy` out for `n_steps` decisions, sampling its actions.
 
     generator: draws the actions; on the environment's device
-    running: the episodes that the worlds are in the middle of, as the previous call returned them
+    running: the unfinished episodes of the worlds, as the previous call returned them
     """
     observation = env.observe()
     observations = observation.new_empty(n_steps, *observation.shape)
@@ -139,7 +140,7 @@ def collect(
 
 
 def _final_value(policy: ActorCritic, transition: Transition) -> Tensor:
-    """Values of the final observations where truncated, else 0, [E]; the network sees only those."""
+    """[E] float32: values of the final observations where truncated, else 0; the network is run on those only."""
     final_value = torch.zeros_like(transition.reward)
     is_done = transition.is_terminated | transition.is_truncated
     if transition.is_truncated.any():
@@ -149,7 +150,7 @@ def _final_value(policy: ActorCritic, transition: Transition) -> Tensor:
 
 
 def _count(running: RunningEpisodes, transition: Transition) -> tuple[RunningEpisodes, dict[str, Tensor]]:
-    """Add a step to the running episodes; read off those that it ended and start them anew."""
+    """The running episodes after a step, and the results of those that it ended."""
     is_done = transition.is_terminated | transition.is_truncated
     reward_sum = running.reward_sum + transition.reward
     n_steps = running.n_steps + 1

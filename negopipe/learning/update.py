@@ -1,4 +1,4 @@
-"""What the updates of all algorithms share: a minibatch, its losses, and how far a step has moved the network.
+"""The parts of an update that all algorithms share: a minibatch, its losses, and the measured KL of a step.
 
 policy gradient   L_pi = -1/N sum A_t log pi(a_t|s_t)
 value             L_V  = 1/(2N) sum (R_t - V(s_t))^2 / sigma^2
@@ -23,8 +23,9 @@ from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, PositiveI
 
 @schema
 class EntropyPenaltyConfig:
-    """The end of a training in which a decided policy pays: what is drawn in training comes to be its most probable
-    actions, which are what is evaluated.
+    """Entropy penalty phase: the end of a training, in which low entropy is rewarded.
+
+    The actions drawn in training then become the most probable ones, which are those of the evaluation.
 
     start: share of the training after which c_H is -coefficient
     """
@@ -35,17 +36,17 @@ class EntropyPenaltyConfig:
 
 @schema
 class UpdateConfig:
-    """One iteration: how much is collected, and what the updates of all algorithms do alike.
+    """One iteration: the size of the rollout, and the options of all algorithms' updates.
 
-    n_worlds, n_steps: E worlds take T decisions per iteration
-    n_epochs: how often each decision is learnt from
-    minibatch_size: about so many decisions per update
+    n_worlds, n_steps: E worlds with T decisions each per iteration
+    n_epochs: number of updates in which each decision is used
+    minibatch_size: largest number of decisions per update
     gamma: discount per decision
-    advantage: how it is estimated
+    advantage: estimator of the advantage
     value_coefficient, entropy_coefficient: c_V, c_H
     return_decay: weight of the old return statistics when a rollout comes in; smaller at the start
-    final_step_share: the steps shrink linearly with the progress of training, to this share at its end
-    final_entropy_share: so does c_H, to this share
+    final_step_share: share of their length to which the steps shrink linearly by the end of training
+    final_entropy_share: share to which c_H shrinks likewise
     entropy_penalty: null = c_H keeps its sign to the end
     n_probe: decisions of the minibatch on which the KL of an update is measured
     """
@@ -86,11 +87,11 @@ class UpdateConfig:
         yield Memory("a minibatch", n_bytes, keys)
 
     def step_share(self, progress: float) -> float:
-        """Length of the steps relative to the start's, when the share `progress` of the training is done."""
+        """Length of the steps relative to the first ones, after the share `progress` of the training."""
         return 1 - (1 - self.final_step_share) * progress
 
     def entropy_weight(self, progress: float) -> float:
-        """c_H at that time."""
+        """c_H after the share `progress` of the training."""
         if self.entropy_penalty is not None and progress >= self.entropy_penalty.start:
             return -self.entropy_penalty.coefficient
         return self.entropy_coefficient * (1 - (1 - self.final_entropy_share) * progress)
@@ -98,10 +99,13 @@ class UpdateConfig:
 
 @dataclass(frozen=True)
 class Decisions:
-    """What an update learns from, one row per decision; `[index]` picks a minibatch.
+    """The decisions of an update, one row each; `[index]` picks a minibatch.
 
-    observation: [N, *obs], action: [N] int64, log_prob: [N] float32, of the action when it was taken,
-    advantage: [N] float32 (normalised), returns: [N] float32
+    observation: [N, *obs]
+    action: [N] int64
+    log_prob: [N] float32, of the action when it was taken
+    advantage: [N] float32, normalised
+    returns: [N] float32
     """
 
     observation: Tensor
@@ -123,7 +127,7 @@ class Decisions:
 
 @dataclass(frozen=True)
 class Outputs:
-    """What the network says of a minibatch: log_probs [N, A], value [N]."""
+    """Outputs of the network for a minibatch: log_probs [N, A], value [N]."""
 
     log_probs: Tensor
     value: Tensor
@@ -133,35 +137,36 @@ class Outputs:
         return log_prob_of(action, self.log_probs)
 
     def first(self, n: int) -> "Outputs":
-        """Those of the first n decisions, without a gradient."""
+        """Outputs for the first n decisions, without a gradient."""
         return Outputs(self.log_probs[:n].detach(), self.value[:n].detach())
 
 
 class Algorithm(Protocol):
-    """How a minibatch improves the policy; owns what that needs beside the policy's weights."""
+    """The update of a policy from a minibatch, with its state beside the policy's weights."""
 
     @property
     def n_skipped(self) -> int:
-        """What was left out so far because it could not be computed."""
+        """Number of computations skipped so far because they were not finite."""
         ...
 
     def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
-        """Improve the policy with a minibatch, when the share `progress` of the training is done.
+        """Improve the policy with a minibatch, after the share `progress` of the training.
 
         Returns policy_loss, value_loss, entropy, kl and value_kl, and measures of the algorithm's own.
         """
         ...
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything but the policy's weights and the generator that the next step depends on."""
+        """State on which the next step depends, without the policy's weights and the generator."""
         ...
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Go on where `state_dict` was taken."""
+        """Restore what `state_dict` returned."""
         ...
 
 
 def forward(policy: ActorCritic, observation: Tensor) -> Outputs:
+    """Outputs of the network for observations [N, *obs]."""
     logits, value = policy(observation)
     return Outputs(logits.log_softmax(-1), value)
 
@@ -179,7 +184,7 @@ def total_loss(
     config: UpdateConfig,
     progress: float,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """L, and its parts to be logged: policy_loss, value_loss (half squared standard deviations), entropy (nat)."""
+    """L, and its parts for the log: policy_loss, value_loss (half squared standard deviations), entropy (nat)."""
     value_loss = half_square(batch.returns - outputs.value, policy.value_std)
     entropy = -(outputs.log_probs.exp() * outputs.log_probs).sum(-1).mean()
     loss = policy_loss - config.entropy_weight(progress) * entropy + config.value_coefficient * value_loss
@@ -197,7 +202,7 @@ def differentiate(
     config: UpdateConfig,
     progress: float,
 ) -> tuple[Outputs, dict[str, Tensor]]:
-    """Leave grad L at the policy's parameters; returns what the network says of the minibatch, and the parts of L."""
+    """Put grad L at the policy's parameters; returns the network's outputs for the minibatch, and the parts of L."""
     outputs = forward(policy, batch.observation)
     loss, parts = total_loss(policy_loss(outputs, batch), outputs, batch, policy, config, progress)
     policy.zero_grad(set_to_none=True)
@@ -207,9 +212,11 @@ def differentiate(
 
 @torch.no_grad()
 def measure_kl(policy: ActorCritic, probe: Tensor, before: Outputs) -> dict[str, Tensor]:
-    """How far a step has moved the network on the observations `probe` [n, *obs], nat.
+    """KL divergence between the network before and after a step, on the observations `probe` [n, *obs], nat.
 
-    kl: KL(old || new) of the actions; value_kl: the same of unit Gaussians around the normalised values
+    kl: KL(old || new) of the actions
+    value_kl: the same for unit Gaussians around the normalised values
+    before: outputs of the network before the step
     """
     after = forward(policy, probe)
     return {

@@ -1,1 +1,1 @@
-"""What the policy sees of the world."""
+"""Observations of the policy: occupancy grids."""

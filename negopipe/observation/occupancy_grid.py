@@ -1,9 +1,9 @@
 """Occupancy grids of the last seconds, drawn in the ego's current frame.
 
-What is drawn: everything beyond the kerbs, the parked cars, the other vehicles, and the vehicle's own footprint.
-All frames share the present frame of reference, so what stands still looks the same in each of them; the own past
-footprints are the only trace of the own speed, which the policy needs, and they cannot be mistaken for another
-vehicle since two footprints never share a place without a collision.
+Occupied are the area beyond the kerbs, the parked cars, the other vehicles and the ego's own footprint. All frames
+share the present frame of reference, so standing objects look the same in each of them. The ego's past footprints show
+its speed, which the policy needs and sees nowhere else. They cannot be mistaken for another vehicle, since two
+footprints share a place only in a collision.
 """
 
 import math
@@ -22,14 +22,14 @@ from negopipe.simulation.scenario import VehicleConfig
 from negopipe.tensors.materialize import materialize
 
 OUT_OF_SIGHT_M = 1000.0
-"""Where no grid reaches."""
+"""Coordinate of vehicles that are not seen, m: beyond every grid."""
 
 WORD_BITS = 28
-"""Columns per machine word; three words hold the paper's 84 columns."""
+"""Columns per machine word; three words hold the 84 columns of the paper."""
 
 NIBBLE_BITS = 4
 SPREAD, LOWEST_BITS = 0x00204081, 0x01010101
-"""A nibble times the first, and of that the bits of the second: its four bits, each in a byte of its own."""
+"""Factor and mask that spread a nibble over four bytes: (nibble * SPREAD) & LOWEST_BITS has one of its bits in each."""
 
 
 @schema
@@ -62,6 +62,11 @@ class ObservationConfig:
         keys = ("observation.n_cells", "observation.n_frames", "scenario.n_social", "scenario.road.n_parked_per_side")
         return Memory("drawing the grids", n_numbers * FLOAT_BYTES * N_TEMPORARIES, keys)
 
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Frames, rows and columns of one observation, (F, H, W)."""
+        return (self.n_frames, self.n_cells, self.n_cells)
+
 
 def frame_stride(config: ObservationConfig, dt_s: float) -> int:
     """Control steps between two frames."""
@@ -69,15 +74,15 @@ def frame_stride(config: ObservationConfig, dt_s: float) -> int:
 
 
 def history_steps(config: ObservationConfig, dt_s: float) -> int:
-    """How many past poses the simulator must remember for the grids."""
+    """Past poses that the simulator must keep for the grids."""
     return (config.n_frames - 1) * frame_stride(config, dt_s)
 
 
 class OccupancyGrid:
-    """Draws grids for one agent in each of E worlds.
+    """Occupancy grids of one agent in each of E worlds.
 
-    Row 0 is farthest ahead, column 0 farthest to the left; a cell is occupied if its centre is. Axes here: F
-    frames, R rectangles, H rows, W columns.
+    Row 0 is farthest ahead, column 0 farthest to the left. A cell is occupied if its centre is. Axes here: F frames,
+    R rectangles, K machine words, H rows, W columns.
     """
 
     def __init__(
@@ -90,7 +95,7 @@ class OccupancyGrid:
     ) -> None:
         self.config, self.vehicle = config, vehicle
         n = config.n_cells
-        self.shape = (config.n_frames, n, n)
+        self.shape = config.shape
         self._stride = frame_stride(config, dt_s)
         cells = torch.arange(n, device=device)
         self._ahead = (n - cells - 0.5) * config.cell_along_m - config.behind_m  # [H] m, row centres
@@ -102,7 +107,7 @@ class OccupancyGrid:
     def draw(self, perception: Perception) -> Tensor:
         """[E, F, H, W] uint8, 1 = occupied; channel 0 is now, channel f is f frame intervals ago.
 
-        `perception` is that of one agent (S = 1).
+        perception: of one agent, S = 1
         """
         own = perception.own_history[:, :: self._stride, 0]  # [E, F, 3]
         others = perception.other_history[:, :: self._stride, 0]  # [E, F, O, 3]
@@ -126,16 +131,16 @@ class OccupancyGrid:
         return reduce(torch.bitwise_or, span.unbind(-3))
 
     def _cells(self, rows: Tensor) -> Tensor:
-        """Bits [..., K, H] -> cells [..., H, W] uint8, four at a time (the lowest byte of a word is its first)."""
+        """Bits [..., K, H] -> cells [..., H, W] uint8, four at a time; the lowest byte of a word comes first."""
         words = rows.transpose(-1, -2)[..., None]
         nibbles = torch.bitwise_right_shift(words, self._shifts).bitwise_and((1 << NIBBLE_BITS) - 1)
         cells = (nibbles * SPREAD).bitwise_and(LOWEST_BITS)
         return cells.flatten(-2).view(torch.uint8)[..., : self.config.n_cells]
 
     def _columns(self, boxes: Boxes) -> tuple[Tensor, Tensor]:
-        """First column and the one after the last whose centre is inside, for each row, [..., R, H] float32.
+        """First column and one past the last column whose centre is inside, by row, [..., R, H] float32.
 
-        Along a row, each pair of parallel sides leaves an interval whose middle moves in proportion to the row.
+        Along a row, each pair of parallel sides leaves an interval, whose middle is proportional to the row's place.
         """
         config = self.config
         half_width = config.n_cells * config.cell_across_m / 2
@@ -151,16 +156,16 @@ class OccupancyGrid:
 
 
 def _slab(along: Tensor, across: Tensor, half: Tensor | float) -> tuple[Tensor, Tensor]:
-    """{w: |along * u + across * w| <= half} as its middle per u and its half length.
+    """The interval {w: |along * u + across * w| <= half}: its middle per u, and its half length.
 
-    Where `across` is nearly 0, that is all w or none.
+    Where `across` is nearly 0, it is all w or none.
     """
     across = torch.where(across.abs() < 1e-6, 1e-6, across)
     return -along / across, half / across.abs()
 
 
 def _in_body_frame(boxes: Boxes, pose: Tensor) -> Boxes:
-    """World frame -> frame of `pose` [..., 3] (x, y, yaw)."""
+    """Boxes in the frame of `pose` [..., 3] (x, y, yaw; m, m, rad), from boxes in the world frame."""
     x, y, yaw = pose.unbind(-1)
     cos, sin = torch.cos(yaw), torch.sin(yaw)
     dx, dy = boxes.x - x, boxes.y - y
@@ -173,6 +178,6 @@ def _in_body_frame(boxes: Boxes, pose: Tensor) -> Boxes:
 
 
 def _static_boxes(road: Road) -> Boxes:
-    """Parked cars and what lies beyond the kerbs, fields [R], world frame."""
+    """Parked cars and the area beyond the kerbs, fields [R], world frame."""
     pairs = zip(road.parked_boxes(), road.off_road_boxes(), strict=True)
     return Boxes(*(torch.cat([torch.as_tensor(a), torch.as_tensor(b)]) for a, b in pairs))

@@ -1,8 +1,8 @@
 """The planner: sample, check, cost, choose (Werling 2010; problem (1) of the paper).
 
 Axes here: N vehicles that plan (worlds and agents flattened), O others that each perceives, C longitudinal and
-L lateral candidates, T times, P parked cars, S stations along a path, K stations around a predicted vehicle. N
-stands last in every tensor: whatever is computed per vehicle runs on vector units, and no axis has to be moved.
+L lateral candidates, T times, P parked cars, S stations along a path, K stations around a predicted vehicle. N is the
+last axis of every tensor, so that computations per vehicle run on vector units and no axis has to be moved.
 """
 
 import math
@@ -30,7 +30,7 @@ from negopipe.tensors.tree import map_tensors
 
 @schema
 class LimitConfig:
-    """What a trajectory may ask of the vehicle; `full_braking_mps2` applies when no candidate is feasible."""
+    """Limits of a trajectory; `full_braking_mps2` is the deceleration when no candidate is feasible."""
 
     speed_max_mps: PositiveFloat
     accel_max_mps2: PositiveFloat
@@ -43,13 +43,13 @@ class LimitConfig:
 
 @schema
 class ClearanceConfig:
-    """Margins that the planner keeps; true collisions are the simulator's matter.
+    """Clearances of planned footprints; the simulator checks collisions without them.
 
-    parked_near_m: to kerbs and parked cars, right where the vehicle is; it grows along the path to parked_m, reached
-        parked_full_at_m ahead. What was drivable from afar so stays drivable from near, small errors included
-        (constraint tightening, Richards & How 2006), and a vehicle can leave wherever it could stop
-    beside_s: more room beside a vehicle, per m/s of its speed: who waits for a moving vehicle leaves it more room
-        than it needs to creep past a standing one, so that a waiting place is one that can be passed
+    parked_near_m: clearance to kerbs and parked cars at the vehicle itself. It grows along the path to parked_m, which
+        it reaches parked_full_at_m ahead. A path that was drivable from afar therefore stays drivable from near, small
+        errors included (constraint tightening, Richards & How 2006), and a vehicle can leave every place it stops at
+    beside_s: additional clearance beside a vehicle, per m/s of its speed. A vehicle that waits for a moving one leaves
+        it more room than that needs to creep past a standing one, so a waiting place can be passed
     """
 
     parked_m: NonNegativeMetres
@@ -70,7 +70,7 @@ class ClearanceConfig:
 
 @schema
 class CostConfig:
-    """Weights of the conjoint cost."""
+    """Weights of the conjoint cost; `conf/planner/frenet.yaml` says what each term is."""
 
     jerk: NonNegativeFloat
     speed: NonNegativeFloat
@@ -126,23 +126,23 @@ class Paths(NamedTuple):
     """Lateral candidates that start at the present states.
 
     coefficients: six tensors [L, N] of the quintics
-    free_distance: [L, N] m, how far along the road the path may be driven: before the first point at which it is
-        too sharp or comes too close to a kerb or a parked car
-    stretch: [L, N], the most metres of path per metre of road
-    stretching: [L, N] 1/m, the fastest change of that: driving along the road at a constant speed, the vehicle
-        speeds up along its path by at most `stretching` times the square of that speed
+    free_distance: [L, N] m, drivable distance along the road: up to the first point at which the path is too sharp or
+        too close to a kerb or a parked car
+    path_per_road: [L, N] 1, largest ratio of a metre of path to a metre of road
+    path_per_road_prime: [L, N] 1/m, largest magnitude of its derivative by s: at a constant speed along the road, the
+        acceleration along the path is at most this times the square of that speed
     cost: [L, N]
     """
 
     coefficients: tuple[Tensor, ...]
     free_distance: Tensor
-    stretch: Tensor
-    stretching: Tensor
+    path_per_road: Tensor
+    path_per_road_prime: Tensor
     cost: Tensor
 
 
 class FrenetPlanner:
-    """Plans for any number of vehicles in one call; they differ by state and prediction horizon only."""
+    """Planner of any number of vehicles in one call; they differ in state and prediction horizon only."""
 
     def __init__(
         self,
@@ -162,16 +162,16 @@ class FrenetPlanner:
 
     @property
     def n_combinations(self) -> int:
-        """Trajectories checked per vehicle and decision."""
+        """Number of trajectories checked per vehicle and decision."""
         return self.longitudinal.n_candidates * self.lateral.n_candidates
 
     @property
     def n_around(self) -> int:
-        """Stations K around each predicted vehicle at which a path is checked."""
+        """Number K of stations around each predicted vehicle at which a path is checked."""
         return len(self._around)
 
     def plan(self, perception: Perception, horizon: Tensor) -> Motion:
-        """Best feasible trajectory of every agent, given its prediction horizon [E, S] (s)."""
+        """One step along the best feasible trajectory of every agent, given its prediction horizon [E, S] (s)."""
         shape = horizon.shape
         own = map_tensors(_flatten, perception.own)
         other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
@@ -184,8 +184,8 @@ class FrenetPlanner:
         is_feasible = is_feasible & (samples.travelled[:, -1] <= paths.free_distance[:, None])
         predicted = predict(self.config.prediction, self.road, other, direction, self.times)
         is_predicted = self.times[:, None] <= horizon.flatten() + self.dt_s / 2  # [T, N]
-        counts = is_predicted & _flatten(perception.is_seen).transpose(0, 1)[:, None]  # [O, T, N]
-        first, last = self._blocked(route, direction, paths, predicted, other.speed, counts)
+        is_considered = is_predicted & _flatten(perception.is_seen).transpose(0, 1)[:, None]  # [O, T, N]
+        first, last = self._blocked(route, direction, paths, predicted, other.speed, is_considered)
         is_feasible = is_feasible & ~_conflicts(samples.travelled, first, last)
         cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
         cost, best = torch.where(is_feasible, cost, torch.inf).flatten(0, 1).min(dim=0)
@@ -203,31 +203,32 @@ class FrenetPlanner:
     def _paths(self, route: RouteState, direction: Tensor, desired_speed: Tensor) -> Paths:
         coefficients = self.lateral.start(route, direction)
         at = self.stations[:, None]  # [S, 1]
-        d, slope, bend = self.lateral.follow(coefficients, route.s, direction, at.expand(-1, len(direction)))
+        d, d_prime, d_pprime = self.lateral.follow(coefficients, route.s, direction, at.expand(-1, len(direction)))
         s = route.s + at
-        curvature, stretch, stretching = self._shape(s, direction, d, slope, bend)
+        curvature, path_per_road, path_per_road_prime = self._shape(s, direction, d, d_prime, d_pprime)
         limits = self.config.limits
         allowed = (limits.lateral_accel_max_mps2 / desired_speed**2).clamp(max=limits.curvature_max_1pm)
-        excess = torch.maximum(curvature.abs() - allowed, self.roadside.excess(s, direction, d, slope))
+        excess = torch.maximum(curvature.abs() - allowed, self.roadside.excess(s, direction, d, d_prime))
         first = torch.where(excess > 0, at, torch.inf).amin(1)
         weights = self.config.cost
         cost = weights.bend * torch.stack(coefficients[2:]).square().sum(0) + weights.offset * self.lateral.offset**2
         free_distance = first - self.config.clearance.station_m
-        return Paths(coefficients, free_distance, stretch.amax(1), stretching.abs().amax(1), cost)
+        return Paths(coefficients, free_distance, path_per_road.amax(1), path_per_road_prime.abs().amax(1), cost)
 
     def _shape(
-        self, s: Tensor, direction: Tensor, d: Tensor, slope: Tensor, bend: Tensor
+        self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, d_pprime: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Of points on paths: curvature (1/m), metres of path per metre of road and the change of that (1/m)."""
+        """Curvature (1/m) of paths at some points, metres of path per metre of road (1), its derivative by s (1/m)."""
         if self.road.reference.is_straight:
-            stretch = torch.sqrt(1 + slope**2)
-            return bend / stretch**3, stretch, slope * bend / stretch
+            path_per_road = torch.sqrt(1 + d_prime**2)
+            return d_pprime / path_per_road**3, path_per_road, d_prime * d_pprime / path_per_road
         kappa, kappa_prime = self.road.curvature(s, direction)
         scale = 1 - kappa * d
-        bulge = kappa_prime * d + kappa * slope  # (kappa d)'
-        stretch = torch.sqrt(scale**2 + slope**2)
-        turn = (scale * bend + slope * bulge) / stretch**2  # of the heading relative to the line
-        return (turn + kappa) / stretch, stretch, (slope * bend - scale * bulge) / stretch
+        kappa_d_prime = kappa_prime * d + kappa * d_prime  # (kappa d)'
+        path_per_road = torch.sqrt(scale**2 + d_prime**2)
+        heading_prime = (scale * d_pprime + d_prime * kappa_d_prime) / path_per_road**2  # relative to the line
+        path_per_road_prime = (d_prime * d_pprime - scale * kappa_d_prime) / path_per_road
+        return (heading_prime + kappa) / path_per_road, path_per_road, path_per_road_prime
 
     def _is_drivable(self, samples: LongitudinalSamples, paths: Paths, route: RouteState) -> Tensor:
         """[L, C, N] bool: speed, acceleration and jerk stay within the limits along the path at all times."""
@@ -235,11 +236,11 @@ class FrenetPlanner:
         tolerance = 0.05  # m/s: rounding and the last centimetres before standstill; executed speeds are >= 0
         is_ok = samples.speed.amin(1) >= -tolerance
         is_ok = is_ok & (torch.maximum(samples.jerk.abs().amax(1), samples.jerk_now.abs()) <= limits.jerk_max_mps3)
-        fastest, stretch = samples.speed.amax(1), paths.stretch[:, None]
-        swing = paths.stretching[:, None] * fastest**2
-        is_ok = is_ok & (fastest * stretch <= limits.speed_max_mps)
-        is_ok = is_ok & (samples.accel.amax(1) * stretch + swing <= limits.accel_max_mps2)
-        return is_ok & (samples.accel.amin(1) * stretch - swing >= -limits.decel_max_mps2)
+        fastest, path_per_road = samples.speed.amax(1), paths.path_per_road[:, None]
+        shape_accel = paths.path_per_road_prime[:, None] * fastest**2  # m/s2, along the path, from its shape alone
+        is_ok = is_ok & (fastest * path_per_road <= limits.speed_max_mps)
+        is_ok = is_ok & (samples.accel.amax(1) * path_per_road + shape_accel <= limits.accel_max_mps2)
+        return is_ok & (samples.accel.amin(1) * path_per_road - shape_accel >= -limits.decel_max_mps2)
 
     def _longitudinal_cost(self, samples: LongitudinalSamples, desired_speed: Tensor) -> Tensor:
         """[C, N]"""
@@ -254,28 +255,28 @@ class FrenetPlanner:
         paths: Paths,
         predicted: PredictedPath,
         speed: Tensor,
-        counts: Tensor,
+        is_considered: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """First and last distance travelled [L, O, T, N] (m) at which a predicted vehicle is in the way.
 
-        At K stations around where the other is predicted, the depth of overlap is measured. It changes by about a
-        metre per metre at most, so from a free station that lies at depth -x nothing is met for x metres: that
-        is where the blocked stretch is taken to begin and to end. Where nothing is in the way, first > last.
+        The depth of overlap is measured at K stations around the predicted place of the other. It changes by about one
+        metre per metre at most, so a path is free for x metres from a station with depth -x. The blocked interval
+        begins and ends there. Where nothing is in the way, first > last.
 
-        counts: [O, T, N] bool, the other is seen and the time lies within the prediction horizon
+        is_considered: [O, T, N] bool, the other is seen and the time lies within the prediction horizon
         """
         size, clearance = self.vehicle, self.config.clearance
         around = self._around[:, None, None, None]  # [K, O, T, N]
         at = predicted.s - route.s + around
-        d, slope, _ = self.lateral.follow(paths.coefficients, route.s, direction, at)
-        u, v, slope = self.road.in_tangent_frame(predicted.s, direction, around, d, slope)  # [L, K, O, T, N]
-        cos, other_cos = torch.rsqrt(1 + slope**2), torch.rsqrt(1 + predicted.slope**2)
-        own = Boxes(u, v, cos, slope * cos, size.length_m / 2, size.width_m / 2)
+        d, d_prime, _ = self.lateral.follow(paths.coefficients, route.s, direction, at)
+        u, v, tan_heading = self.road.in_tangent_frame(predicted.s, direction, around, d, d_prime)  # [L, K, O, T, N]
+        cos, other_cos = torch.rsqrt(1 + tan_heading**2), torch.rsqrt(1 + predicted.tan_heading**2)
+        own = Boxes(u, v, cos, tan_heading * cos, size.length_m / 2, size.width_m / 2)
         other = Boxes(
             torch.zeros_like(predicted.d),
             predicted.d,
             other_cos,
-            predicted.slope * other_cos,
+            predicted.tan_heading * other_cos,
             size.length_m / 2 + clearance.ahead_m,
             size.width_m / 2 + clearance.beside_m + clearance.beside_s * speed[:, None],
         )
@@ -284,8 +285,8 @@ class FrenetPlanner:
         step = self._around[1] - self._around[0]
         entered = at[:-1] + torch.minimum((-before).clamp(min=0), step)
         left = at[1:] - torch.minimum((-after).clamp(min=0), step)
-        first = torch.where(counts, torch.where(after > 0, entered, torch.inf), torch.inf).amin(1)
-        last = torch.where(counts, torch.where(before > 0, left, -torch.inf), -torch.inf).amax(1)
+        first = torch.where(is_considered, torch.where(after > 0, entered, torch.inf), torch.inf).amin(1)
+        last = torch.where(is_considered, torch.where(before > 0, left, -torch.inf), -torch.inf).amax(1)
         return first, last
 
     def _follow(
@@ -295,17 +296,17 @@ class FrenetPlanner:
         n_longitudinal = self.longitudinal.n_candidates
         row = (best % n_longitudinal)[None]
         travelled, speed, accel = (field[:, 0].gather(0, row)[0] for field in samples[:3])
-        is_at_rest = speed < 1e-3
+        is_at_rest = speed < 1e-3  # m/s
         speed = torch.where(is_at_rest, 0.0, speed)
         accel = torch.where(is_at_rest, 0.0, accel)
-        travelled = torch.where(is_at_rest & (route.s_dot == 0), 0.0, travelled.clamp(min=0))  # nobody creeps
+        travelled = torch.where(is_at_rest & (route.s_dot == 0), 0.0, travelled.clamp(min=0))  # no creeping
         chosen = best // n_longitudinal
         return self._on_path(route, direction, paths, chosen, travelled, speed, accel)
 
     def _brake(self, route: RouteState, direction: Tensor, paths: Paths) -> RouteState:
         """State one step into full braking, on the path that stays free the longest."""
-        stretch = self._shape(route.s, direction, route.d, route.d_prime, route.d_pprime)[1]
-        decel, dt = self.config.limits.full_braking_mps2 / stretch, self.dt_s  # the limit holds along the path
+        path_per_road = self._shape(route.s, direction, route.d, route.d_prime, route.d_pprime)[1]
+        decel, dt = self.config.limits.full_braking_mps2 / path_per_road, self.dt_s  # the limit holds along the path
         moving_s = (route.s_dot / decel).clamp(max=dt)
         travelled = route.s_dot * moving_s - decel * moving_s**2 / 2
         speed = (route.s_dot - decel * dt).clamp(min=0)
@@ -328,7 +329,7 @@ class FrenetPlanner:
 
 
 def _conflicts(travelled: Tensor, first: Tensor, last: Tensor) -> Tensor:
-    """[L, C, N] bool: a vehicle that has `travelled` [C, T, N] (m) is within a blocked stretch at some time."""
+    """[L, C, N] bool: a vehicle that has `travelled` [C, T, N] (m) is within a blocked interval at some time."""
     travelled = travelled[:, None]  # [C, O, T, N]
     within = torch.minimum(travelled - first[:, None], last[:, None] - travelled)  # [L, C, O, T, N]
     return within.amax((2, 3)) > 0
@@ -339,7 +340,7 @@ def _flatten(field: Tensor) -> Tensor:
 
 
 def _parked_clearance(config: ClearanceConfig, ahead: Tensor) -> Tensor:
-    """[S] m, to be kept from kerbs and parked cars at points so far ahead."""
+    """[S] m: clearance to kerbs and parked cars at the distances `ahead` [S] (m) of the vehicle."""
     share = (ahead / config.parked_full_at_m).clamp(max=1)
     return config.parked_near_m + (config.parked_m - config.parked_near_m) * share
 

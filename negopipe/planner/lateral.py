@@ -13,7 +13,7 @@ from negopipe.simulation.road import Road, RouteState
 
 @schema
 class LateralConfig:
-    """Every offset is combined with every length.
+    """Lateral candidates: every offset with every length.
 
     offsets_m: end offsets from the route, positive to the left
     lengths_m: distances along the road over which the offset is reached
@@ -28,18 +28,18 @@ class LateralConfig:
 
 
 class PathPoint(NamedTuple):
-    """Points of paths in the route frame: offset d (m), slope d' and bend d'' (1/m) by s; every field [...]."""
+    """Points of paths in the route frame: offset d (m) and its derivatives d' (1) and d'' (1/m) by s; fields [...]."""
 
     d: Tensor
-    slope: Tensor
-    bend: Tensor
+    d_prime: Tensor
+    d_pprime: Tensor
 
 
 class LateralCandidates:
-    """Paths d(s) = route(s) + quintic(s): lateral motion over distance, so that it does not depend on speed.
+    """Paths d(s) = route(s) + quintic(s): lateral motion over distance, independent of speed.
 
-    Werling 2010 switches from d(t) to d(s) at low speed; in a corridor of parked cars every speed is low. A path
-    is checked against curves, kerbs and parked cars once, whatever the speed it is driven at.
+    Werling 2010 switches from d(t) to d(s) at low speed, and in a corridor of parked cars every speed is low. A path
+    is checked once against curves, kerbs and parked cars, for all speeds at which it may be driven.
     """
 
     def __init__(self, config: LateralConfig, road: Road, device: torch.device | str = "cpu") -> None:
@@ -50,26 +50,26 @@ class LateralCandidates:
         self.offset: Tensor = offsets[:, None]  # [L, 1] m
         self._length = lengths  # [L] m
         maps = torch.stack([quintic(length) for _, length in pairs]).to(device, torch.float32)
-        self._from_state = maps[:, :, :3].transpose(0, 1).flatten(0, 1).contiguous()  # [6 L, 3]: offset, slope, bend
+        self._from_state = maps[:, :, :3].transpose(0, 1).flatten(0, 1).contiguous()  # [6 L, 3]: of d, d', d''
         self._from_target = (maps[:, :, 3] * offsets[:, None]).T[..., None].contiguous()  # [6, L, 1]
 
     def start(self, route: RouteState, direction: Tensor) -> tuple[Tensor, ...]:
         """Coefficients c_0 .. c_5, each [L, N], of the quintics that start at the states `route` (fields [N])."""
-        d, slope, bend = self.road.route_offset(route.s, direction)
-        beside = torch.stack([route.d - d, route.d_prime - slope, route.d_pprime - bend])
-        coefficients = (self._from_state @ beside).reshape(6, self.n_candidates, -1) + self._from_target
+        d, d_prime, d_pprime = self.road.route_offset(route.s, direction)
+        off_route = torch.stack([route.d - d, route.d_prime - d_prime, route.d_pprime - d_pprime])
+        coefficients = (self._from_state @ off_route).reshape(6, self.n_candidates, -1) + self._from_target
         return coefficients.unbind(0)
 
     def follow(
         self, coefficients: tuple[Tensor, ...], start_s: Tensor, direction: Tensor, travelled: Tensor
     ) -> PathPoint:
-        """Points of the paths after some distance along the road, fields [L, ..., N].
+        """Points of the paths at a distance along the road, fields [L, ..., N].
 
         start_s, direction: [N] m, +-1; travelled: [..., N] m, the same for all paths
         """
         extra = travelled.dim() - 1
         columns = tuple(c.reshape(c.shape[0], *[1] * extra, c.shape[1]) for c in coefficients)
         length = self._length.reshape(-1, *[1] * travelled.dim())
-        value, slope, bend = evaluate(columns, torch.minimum(travelled.clamp(min=0), length))
-        route_d, route_slope, route_bend = self.road.route_offset(start_s + travelled, direction)
-        return PathPoint(route_d + value, route_slope + slope, route_bend + bend)
+        d, d_prime, d_pprime = evaluate(columns, torch.minimum(travelled.clamp(min=0), length))
+        route_d, route_d_prime, route_d_pprime = self.road.route_offset(start_s + travelled, direction)
+        return PathPoint(route_d + d, route_d_prime + d_prime, route_d_pprime + d_pprime)

@@ -1,4 +1,4 @@
-"""Longitudinal candidates: keeping a speed (quartics) and stopping after a distance or at a place (quintics)."""
+"""Longitudinal candidates: quartics that keep a speed, quintics that stop after a distance or at a place."""
 
 from typing import Annotated, NamedTuple
 
@@ -13,13 +13,13 @@ from negopipe.simulation.road import RouteState
 
 @schema
 class LongitudinalConfig:
-    """The candidates: every speed with every keeping duration, every stop with every stopping duration.
+    """Longitudinal candidates: every speed with every keeping duration, every stop with every stopping duration.
 
     keep_fractions: target speeds as fractions of the vehicle's desired speed
-    keep_durations_s: time to reach the target speed; afterwards it is held
+    keep_durations_s: times to reach the target speed, which is then kept
     stop_distances_m: distances ahead at which the vehicle comes to rest
     stop_positions_m: places s at which it comes to rest (0 = the mouth of the corridor)
-    stop_durations_s: time to come to rest
+    stop_durations_s: times to come to rest
     settle_rate_hz: a braking vehicle plans from an acceleration of at least -settle_rate * speed, so that it
         comes to rest without overshooting into reverse
     """
@@ -53,10 +53,9 @@ class LongitudinalSamples(NamedTuple):
 
 
 class LongitudinalCandidates:
-    """All candidates are linear in (speed, acceleration, target): what samples them is computed once.
+    """Longitudinal candidates, linear in (speed, acceleration, target), so that their sampling matrices are constant.
 
-    The target is the speed to reach or the distance to stop after. The vehicles N stand last, so that every
-    operation on candidates runs on vector units.
+    The target is the speed to reach or the distance to stop after.
     """
 
     def __init__(self, config: LongitudinalConfig, times: Tensor) -> None:

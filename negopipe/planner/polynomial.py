@@ -2,8 +2,8 @@
 
 A quintic is the jerk-optimal connection of two full states (position, velocity, acceleration); where the end
 position is free, it is a quartic. For a fixed duration the coefficients are linear in the boundary values, so a
-set of candidates with fixed durations is one matrix: it is computed once, and sampling every candidate of every
-vehicle becomes one matrix product.
+set of candidates with fixed durations is one matrix. It is computed once, and one matrix product samples every
+candidate of every vehicle.
 """
 
 import torch
@@ -14,7 +14,7 @@ N_COEFFICIENTS = 6
 
 
 def derivative_row(t: float, order: int) -> Tensor:
-    """[6] float64: the row r with r @ c = the `order`-th derivative of sum_k c_k t^k at t."""
+    """[6] float64: row r, for which r @ c is the `order`-th derivative of sum_k c_k t^k at t."""
     row = torch.zeros(N_COEFFICIENTS, dtype=torch.float64)
     for power in range(order, N_COEFFICIENTS):
         factor = 1.0
@@ -41,7 +41,7 @@ def quartic(duration: float) -> Tensor:
 def sampling_rows(times: Tensor, duration: float, order: int) -> Tensor:
     """[T, 6] float64: coefficients -> `order`-th derivative (0 to 3) at `times` [T].
 
-    After the duration the motion goes on at the end velocity without acceleration.
+    After the duration the motion continues at the end velocity.
     """
     rows = []
     for t in times.tolist():
@@ -55,9 +55,9 @@ def sampling_rows(times: Tensor, duration: float, order: int) -> Tensor:
 
 
 def evaluate(coefficients: tuple[Tensor, ...], x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Value, first and second derivative at x [...] of polynomials with coefficients c_0 .. c_5, each [...]."""
+    """Value, first and second derivative at x [...] of the polynomials with coefficients c_0 .. c_5, each [...]."""
     c0, c1, c2, c3, c4, c5 = coefficients
     value = c0 + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * c5))))
-    slope = c1 + x * (2 * c2 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))
-    bend = 2 * c2 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))
-    return value, slope, bend
+    first = c1 + x * (2 * c2 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))
+    second = 2 * c2 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))
+    return value, first, second

@@ -1,4 +1,4 @@
-"""What stands beside the road: kerbs and parked cars, as a planned footprint meets them."""
+"""Check of planned footprints against what stands beside the road: kerbs and parked cars."""
 
 from typing import NamedTuple
 
@@ -10,11 +10,11 @@ from negopipe.simulation.scenario import VehicleConfig
 
 
 class ParkedRow(NamedTuple):
-    """Parked cars without room for a vehicle between them, beside the reference line.
+    """Parked cars beside the reference line, without room for a vehicle between them.
 
-    sigma, half_length: arc length of the middle, m
+    sigma, half_length: m, arc length of the middle of the row, and half the row's length
     side: +1 to the left of the line, -1 to the right
-    inner: m, from the line to the side that faces the road, positive towards `side`
+    inner: m, distance from the line to the row's side that faces the road, positive towards `side`
     """
 
     sigma: float
@@ -24,12 +24,12 @@ class ParkedRow(NamedTuple):
 
 
 class Roadside:
-    """Checks footprints, grown by clearances, against kerbs and parked cars.
+    """Check of footprints, grown by clearances, against kerbs and parked cars.
+
+    No vehicle fits between a parked car and its kerb, so a footprint is clear of the car if, all along the car, the
+    footprint's border lies on the road's side of the car's inner side.
 
     clearance_m: [S] m, one for every station at which a path is checked
-
-    Nobody fits between a parked car and its kerb, so a footprint is clear of the car if, all along it, its border
-    lies on the road's side of the car's inner side.
     """
 
     def __init__(self, road: Road, vehicle: VehicleConfig, clearance_m: Tensor) -> None:
@@ -38,36 +38,38 @@ class Roadside:
         self.half_width = vehicle.width_m / 2 + clearance_m[:, None]
         self.rows = _rows(road, vehicle.width_m + 2 * float(clearance_m.min()))
 
-    def excess(self, s: Tensor, direction: Tensor, d: Tensor, slope: Tensor) -> Tensor:
-        """[L, S, N] m: how far a footprint reaches over a kerb or into a parked car; positive where it does.
+    def excess(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor) -> Tensor:
+        """[L, S, N] m: depth by which a footprint reaches over a kerb or into a parked car, negative where it is clear.
 
-        s: [S, N] m; direction: [N]; d, slope: [L, S, N] m and its derivative by s
+        s: [S, N] m; direction: [N]; d, d_prime: [L, S, N] m and 1, the offset and its derivative by s
         """
-        excess = self._over_kerb(s, direction, d, slope)
+        excess = self._over_kerb(s, direction, d, d_prime)
         for row in self.rows:
-            excess = torch.maximum(excess, self._into_row(row, s, direction, d, slope))
+            excess = torch.maximum(excess, self._into_row(row, s, direction, d, d_prime))
         return excess
 
-    def _over_kerb(self, s: Tensor, direction: Tensor, d: Tensor, slope: Tensor) -> Tensor:
-        bulge: Tensor | float = 0.0  # how far a curved kerb reaches towards the middle of a straight side
+    def _over_kerb(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor) -> Tensor:
+        sagitta: Tensor | float = 0.0  # how far a curved kerb reaches towards the middle of a straight side
+        tan_heading = d_prime
         if not self.road.reference.is_straight:
             kappa, _ = self.road.curvature(s, direction)
-            bulge = kappa.abs() * self.half_length**2 / 2
-            slope = slope / (1 - kappa * d)
-        cos = torch.rsqrt(1 + slope**2)
-        reach = self.half_length * slope.abs() * cos + self.half_width * cos
-        return d.abs() + reach + bulge - self.road.config.width_m / 2
+            sagitta = kappa.abs() * self.half_length**2 / 2
+            tan_heading = d_prime / (1 - kappa * d)
+        cos = torch.rsqrt(1 + tan_heading**2)
+        reach = self.half_length * tan_heading.abs() * cos + self.half_width * cos
+        return d.abs() + reach + sagitta - self.road.config.width_m / 2
 
-    def _into_row(self, row: ParkedRow, s: Tensor, direction: Tensor, d: Tensor, slope: Tensor) -> Tensor:
-        """Seen with the row to the left and the nose turned left (else mirrored, across or along).
+    def _into_row(self, row: ParkedRow, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor) -> Tensor:
+        """[L, S, N] m: depth by which a footprint reaches into a row.
 
-        The footprint's corner that reaches farthest is at (corner, height); from there the border falls along the
-        long side to the rear and along the short side to the front.
+        The row is taken to be on the left and the nose to be turned left; other cases are mirrored across or along.
+        The corner that reaches farthest is at (corner, height). From there the border falls along the long side to the
+        rear and along the short side to the front.
         """
         at = direction * row.sigma + self.road.config.corridor_length_m / 2
-        u, v, slope = self.road.in_tangent_frame(at, direction, s - at, d, slope)
+        u, v, tan_heading = self.road.in_tangent_frame(at, direction, s - at, d, d_prime)
         side = row.side * direction
-        turned = slope * side
+        turned = tan_heading * side
         steep = turned.abs().clamp(min=1e-4)
         cos = torch.rsqrt(1 + steep**2)
         sin = steep * cos
@@ -80,7 +82,7 @@ class Roadside:
 
 
 def _rows(road: Road, room_m: float) -> list[ParkedRow]:
-    """Neighbours with less than `room_m` between them are one row; on a bent road every car is one of its own."""
+    """Rows of parked cars: neighbours with less than `room_m` between them; on a bent road every car by itself."""
     is_straight = road.reference.is_straight
     rows: list[ParkedRow] = []
     for sigma, d, length, width in sorted(road.parked_on_line.tolist()):

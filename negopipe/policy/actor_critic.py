@@ -3,8 +3,9 @@
 import math
 from copy import deepcopy
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Generator, Tensor, nn
@@ -14,8 +15,8 @@ from negopipe.schema import Distinct, NonNegativeFloat, PositiveInt, schema
 
 HIDDEN_GAIN = math.sqrt(2)
 LAST_GAIN = 0.01
-"""Gain of both heads' last layers: small, so that the first policy is close to uniform and the first values
-are close to equal. Values that start as noise are unlearned by shrinking the shared encoder, which can kill it."""
+"""Gain of the last layers of both heads. It is small, so that the first policy is nearly uniform and the first values
+are nearly equal. Random first values would be unlearned by shrinking the shared encoder, which can disable it."""
 
 
 @schema
@@ -37,8 +38,9 @@ class PolicyConfig:
     horizons_s: action i makes the ego predict `horizons_s[i]` seconds ahead
     precision: arithmetic of the encoder
     memory_format: order in which the encoder's weights and maps lie in memory
-    A run settles what `auto` stands for (`negopipe.runtime.network_choice`); a policy that is built apart from a run
-    takes it for float32 and channels_last.
+
+    A run resolves `auto` (`negopipe.runtime.network_choice`). A policy that is built without a run takes `auto` for
+    float32 and channels_last.
     """
 
     conv: tuple[ConvConfig, ...]
@@ -50,20 +52,20 @@ class PolicyConfig:
 
 
 def encoder_dtype(precision: str) -> torch.dtype:
-    """What a `PolicyConfig.precision` is called by torch."""
+    """torch's dtype of a `PolicyConfig.precision`."""
     return {"auto": torch.float32, "float32": torch.float32, "bfloat16": torch.bfloat16}[precision]
 
 
 def encoder_memory_format(memory_format: str) -> torch.memory_format:
-    """What a `PolicyConfig.memory_format` is called by torch."""
+    """torch's memory format of a `PolicyConfig.memory_format`."""
     return torch.contiguous_format if memory_format == "channels_first" else torch.channels_last
 
 
 class ActorCritic(nn.Module):
     """pi(a|s) and V(s) on a shared encoder.
 
-    The value head's output is a normalised value v; V = value_mean + value_std * v is in units of return, and
-    so is everything outside this class. `rescale_value` moves mean and scale without changing V.
+    The output of the value head is a normalised value v. V = value_mean + value_std * v is in units of return, as are
+    all values outside this class. `rescale_value` changes mean and scale without changing V.
 
     encoder: maps observations [E, *obs] to features [E, n_features], float32 or, under autocast, `dtype`
     """
@@ -102,7 +104,7 @@ class ActorCritic(nn.Module):
     def rescale_value(self, mean: Tensor, std: Tensor, keep_value: bool) -> None:
         """Set value_mean and value_std.
 
-        keep_value: adapt the last layer, so that V stays the same (van Hasselt 2016); else V moves along
+        keep_value: adapt the last layer so that V stays the same (van Hasselt 2016); otherwise V is rescaled
         """
         last = self.value_head[-1]
         assert isinstance(last, nn.Linear)
@@ -123,13 +125,14 @@ class ActorCritic(nn.Module):
 
 
 class GridEncoder(nn.Module):
-    """Occupancy grids [E, C, H, W] (0 or 1) -> features [E, encoder_width], maps as `memory_format` has them.
+    """Encoder of occupancy grids [E, C, H, W] (0 or 1) to features [E, encoder_width].
 
-    Raises UserError where the convolutions leave nothing of the grid.
+    UserError where the convolutions leave no cell of the grid.
     """
 
     def __init__(self, config: PolicyConfig, observation_shape: tuple[int, int, int]) -> None:
         super().__init__()
+        self.observation_shape = observation_shape
         channels, height, width = observation_shape
         layers: list[nn.Module] = []
         for conv in config.conv:
@@ -147,11 +150,31 @@ class GridEncoder(nn.Module):
         return torch.relu(self.linear(maps.flatten(1)))
 
 
+class GridPolicy(ActorCritic):
+    """The actor-critic whose encoder is a `GridEncoder`."""
+
+    @torch.no_grad()
+    def act(self, grids: np.ndarray) -> Any:
+        """The most probable action for the grids that an environment shows, as its `step` takes it.
+
+        grids: [F, H, W] of one world, or [E, F, H, W]; 0 = free and any other value occupied, so 0 and 255 of
+            `negopipe.envs.gymnasium` or 0 and 1. UserError for another shape
+        Returns an int64 number for one world, [E] int64 for E worlds.
+        """
+        assert isinstance(self.encoder, GridEncoder)
+        shape = self.encoder.observation_shape
+        if np.shape(grids)[-3:] != shape or np.ndim(grids) not in (3, 4):
+            allowed = f"an array of shape {shape}, or of several of them"
+            raise UserError(f"grids must be {allowed}, got the shape {np.shape(grids)}")
+        occupied = torch.from_numpy(np.not_equal(grids, 0)).reshape(-1, *shape).to(self.value_mean.device)
+        return greedy_action(self(occupied)[0]).cpu().numpy().reshape(np.shape(grids)[:-3])[()]
+
+
 def grid_actor_critic(
     config: PolicyConfig, observation_shape: tuple[int, int, int], device: torch.device, generator: Generator
-) -> ActorCritic:
+) -> GridPolicy:
     """The paper's network on `device`, for grids [C, H, W]. The weights depend on the CPU generator only."""
-    policy = ActorCritic(
+    policy = GridPolicy(
         encoder=GridEncoder(config, observation_shape),
         n_features=config.encoder_width,
         head_widths=config.head_widths,
@@ -164,7 +187,7 @@ def grid_actor_critic(
 
 
 def recast(policy: ActorCritic, precision: str, memory_format: str) -> ActorCritic:
-    """A copy of a network for grids which computes with another precision and memory format."""
+    """Copy of a network for grids, with another precision and memory format."""
     other = deepcopy(policy)
     assert isinstance(other.encoder, GridEncoder)
     other.dtype, other.encoder.memory_format = encoder_dtype(precision), encoder_memory_format(memory_format)

@@ -1,4 +1,4 @@
-"""What the stages build from the config: the game, the policy, the device."""
+"""The game, the policy and the device that a config describes; policies saved and loaded."""
 
 import logging
 from dataclasses import asdict
@@ -6,20 +6,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
+from pydantic import TypeAdapter, ValidationError
+from torch import Tensor
 
+from negopipe.config.compose import load_config
 from negopipe.errors import UserError
 from negopipe.game.game import Game, build_game
-from negopipe.policy.actor_critic import ActorCritic, grid_actor_critic
+from negopipe.observation.occupancy_grid import ObservationConfig
+from negopipe.policy.actor_critic import ActorCritic, GridPolicy, PolicyConfig, grid_actor_critic
 from negopipe.tensors.seeding import generator
-from negopipe.tracking.checkpoint import load_checkpoint, save_checkpoint
+from negopipe.tensors.torch_settings import own_settings
+from negopipe.tracking.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
 
 log = logging.getLogger("negopipe")
 
-ANY_WILL_DO = ("precision", "memory_format")
-"""Of a policy: weights are the same whatever they are computed with."""
+RESULT_NEUTRAL_KEYS = ("precision", "memory_format")
+"""Keys of a policy in which a checkpoint may differ: its weights are the same whatever they are computed with."""
 
 
 def device_of(config: "RunConfig") -> torch.device:
@@ -60,15 +65,61 @@ def save_policy(path: Path, policy: ActorCritic, config: "RunConfig", n_decision
     save_checkpoint(path, policy.state_dict(), metadata)
 
 
-def load_policy(path: Path, policy: ActorCritic, config: "RunConfig") -> None:
+@own_settings()
+def load_policy(source: str | Path = "pretrained/mixture", config: "RunConfig | None" = None) -> GridPolicy:
+    """The policy of a checkpoint, in eval mode on the CPU, its network as the checkpoint describes it.
+
+        policy = negopipe.load_policy("pretrained/yield")
+        action = policy.act(grids)
+
+    source: a file; `pretrained/yield` or `pretrained/mixture`, which come with negopipe; `pretrained`, the one of
+        `config.name`; or the id of an MLflow run in the store of `config`
+    config: the network and the grids must be those of this config, whose precision and memory format are used; None =
+        any network, in float32
+    UserError where there is no such checkpoint, or where it does not fit.
+    """
+    path = find_checkpoint(str(source), config or load_config())
+    tensors, metadata = load_checkpoint(path)
+    if config is None:
+        network, observation = _described(path, metadata)
+    else:
+        _check_match(path, metadata, config)
+        network, observation = config.policy, config.observation
+    with torch.random.fork_rng(devices=[]):  # torch draws weights for every layer that it makes
+        policy = grid_actor_critic(network, observation.shape, torch.device("cpu"), torch.Generator())
+    _fill(path, tensors, policy)
+    policy.eval()
+    return policy
+
+
+def load_weights(path: Path, policy: ActorCritic, config: "RunConfig") -> None:
     """Put a checkpoint's weights into `policy`; UserError if it was made for another network or other grids."""
     tensors, metadata = load_checkpoint(path)
+    _check_match(path, metadata, config)
+    _fill(path, tensors, policy)
+
+
+def _described(path: Path, metadata: dict[str, Any]) -> tuple[PolicyConfig, ObservationConfig]:
+    """The network and the grids that a checkpoint was made with; the arithmetic is left to the machine at hand."""
+    try:
+        made_with = metadata.get("policy", {}) | dict.fromkeys(RESULT_NEUTRAL_KEYS, "auto")
+        observation = TypeAdapter(ObservationConfig).validate_python(metadata.get("observation", {}))
+        return TypeAdapter(PolicyConfig).validate_python(made_with), observation
+    except ValidationError as error:
+        key = ".".join(map(str, error.errors()[0]["loc"]))
+        raise UserError(f"checkpoint must describe its network and its grids, got {path}: {key} is wrong") from error
+
+
+def _check_match(path: Path, metadata: dict[str, Any], config: "RunConfig") -> None:
     for part in ("policy", "observation"):
         made_with, wanted = metadata.get(part, {}), _plain(asdict(getattr(config, part)))
-        differing = [key for key in wanted if made_with.get(key) != wanted[key] and key not in ANY_WILL_DO]
+        differing = [key for key in wanted if made_with.get(key) != wanted[key] and key not in RESULT_NEUTRAL_KEYS]
         if differing:
             key = differing[0]
             raise UserError(f"{part}.{key} must be {made_with.get(key)} as in the checkpoint {path}, got {wanted[key]}")
+
+
+def _fill(path: Path, tensors: dict[str, Tensor], policy: ActorCritic) -> None:
     try:
         policy.load_state_dict(tensors)
     except RuntimeError as error:  # its metadata says otherwise
@@ -77,7 +128,7 @@ def load_policy(path: Path, policy: ActorCritic, config: "RunConfig") -> None:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON gives it back: tuples become lists."""
+    """The value as JSON gives it back: tuples become lists."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, tuple | list) else value

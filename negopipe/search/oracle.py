@@ -20,7 +20,7 @@ from pydantic import Field
 from torch import Generator, Tensor
 
 from negopipe.checks import N_COPIES, Memory, Problem, check_names
-from negopipe.game.game import Game, joint_horizon
+from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, PositiveInt, schema
 from negopipe.simulation.scenario import ScenarioConfig
@@ -116,8 +116,7 @@ class Rollouts:
         n_steps = torch.zeros_like(actions[:, 0])
         world, rows = self.game.simulator.reset(tasks), torch.arange(len(tasks), device=actions.device)
         while len(rows) > 0:
-            chosen = self._horizons[actions[rows, world.step]]
-            world, events = self.game.drive(world, joint_horizon(world, chosen))
+            world, events = self.game.drive(world, world.horizons(self._horizons[actions[rows, world.step]]))
             paid[rows] += reward(self.reward_config, events.is_collision, events.is_success).double()
             n_steps[rows] = world.step
             is_over = events.is_terminated | events.is_truncated

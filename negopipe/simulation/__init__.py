@@ -1,1 +1,1 @@
-"""The driving game itself: state, geometry, road, tasks, perception and the batched simulator."""
+"""The rules of the driving game: state, geometry, road, tasks, perception, dynamics, collisions, simulator."""

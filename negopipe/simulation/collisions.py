@@ -1,11 +1,11 @@
-"""Who touches what: at one instant, and on the way from one control step to the next.
+"""Collisions of footprints: at one instant, and between two control steps.
 
 States are known at control steps only. In between, a vehicle is taken to move along the cubic that has its positions
 and velocities at both ends, and to turn evenly. The motion is cut into pieces of at most `PIECE_S`. Within a piece
 every footprint moves straight on with its mean heading, so the moment at which two footprints meet is exact
 (`geometry.time_to_collision`): no vehicle is too short and no control step too long for a collision to be seen. The
-footprints are shrunk by `GRAZE_M` and by as much as turning moves their corners within the piece. What is found between
-control steps is therefore a collision, and a graze that is no deeper than this may be missed there.
+footprints are shrunk by `GRAZE_M` and by as much as turning moves their corners within the piece. A contact found
+between control steps is therefore a collision. A graze that is no deeper than the shrinkage may be missed there.
 """
 
 import math
@@ -23,17 +23,17 @@ from negopipe.simulation.state import VehicleState
 from negopipe.tensors.tree import tree_where
 
 PIECE_S = 0.05
-"""Longest piece of a motion between two control steps."""
+"""Longest piece of a motion between two control steps, s."""
 
 GRAZE_M = 0.01
 """Depth of an overlap that counts as a graze, m: at 8 m/s2 the line of a piece and the cubic are half as far apart."""
 
 PASSING_M = 0.3
-"""Room beside a vehicle that is passed."""
+"""Room on either side of a vehicle that passes another, m."""
 
 
 class _Poses(NamedTuple):
-    """Poses on the way, fields [E, V, N + 1], m and rad, world frame."""
+    """Poses between two control steps, fields [E, V, N + 1], m and rad, world frame."""
 
     x: Tensor
     y: Tensor
@@ -65,15 +65,15 @@ class CollisionCheck:
     def first_contact(self, before: VehicleState, after: VehicleState) -> Tensor:
         """[E, V] float32: share of the control step from `before` to `after` at which a vehicle touches something.
 
-        1 for who touches something at the end of the step, whatever happened before; inf for who touches nothing.
+        It is 1 for a vehicle in contact at the end of the step, whatever happened before, and inf without a contact.
         """
-        poses = self._way(before, after)
+        poses = self._interpolate(before, after)
         contact = torch.minimum(self._hit(poses), self._off_road(poses))
         return torch.where(self.touches(after), 1.0, contact)
 
     def moved_until(self, share: Tensor, before: VehicleState, after: VehicleState) -> VehicleState:
-        """`after` [E, V], but where `share` [E, V] is below 1, the state at that share of the step."""
-        poses = self._way(before, after, share[..., None].clamp(max=1.0))
+        """The state `after` [E, V]; where `share` [E, V] is below 1, the state at that share of the step instead."""
+        poses = self._interpolate(before, after, share[..., None].clamp(max=1.0))
         speed = before.speed + (after.speed - before.speed) * share
         stopped = replace(
             after, position=torch.cat([poses.x, poses.y], -1), yaw=wrap_angle(poses.yaw[..., 0]), speed=speed
@@ -91,18 +91,19 @@ class CollisionCheck:
         standing = _fields(self._footprints(vehicles), lambda field: field[..., None])
         return (overlap_depth(route, standing) > 0).any(-1)
 
-    def _way(self, before: VehicleState, after: VehicleState, share: Tensor | None = None) -> _Poses:
-        """Poses at the shares [..., K] of the step, by default at the ends of its pieces.
+    def _interpolate(self, before: VehicleState, after: VehicleState, share: Tensor | None = None) -> _Poses:
+        """Poses at the shares [..., K] of the step; None = at the ends of its pieces.
 
-        A cubic whose ends are no faster than three times its chord moves forward all along (Fritsch & Carlson 1980).
+        The positions lie on a cubic Hermite curve. One whose end tangents are no longer than three times its chord
+        moves forward all along (Fritsch & Carlson 1980).
         """
         t = self._share if share is None else share
-        most = 3 * (after.position - before.position).norm(dim=-1)
-        starts, ends = _velocity(before, self.dt_s, most), _velocity(after, self.dt_s, most)
-        rise, early, late = t * t * (3 - 2 * t), t * (1 - t) * (1 - t), t * t * (t - 1)
-        here, there = before.position[..., None], after.position[..., None]
-        place = here + rise[..., None, :] * (there - here)
-        place = place + early[..., None, :] * starts[..., None] + late[..., None, :] * ends[..., None]
+        limit = 3 * (after.position - before.position).norm(dim=-1)
+        start_tangent, end_tangent = _tangent(before, self.dt_s, limit), _tangent(after, self.dt_s, limit)
+        h01, h10, h11 = t * t * (3 - 2 * t), t * (1 - t) * (1 - t), t * t * (t - 1)  # the Hermite basis
+        start, end = before.position[..., None], after.position[..., None]
+        place = start + h01[..., None, :] * (end - start)
+        place = place + h10[..., None, :] * start_tangent[..., None] + h11[..., None, :] * end_tangent[..., None]
         yaw = before.yaw[..., None] + t * wrap_angle(after.yaw - before.yaw)[..., None]
         return _Poses(place[..., 0, :], place[..., 1, :], yaw)
 
@@ -123,7 +124,7 @@ class CollisionCheck:
         return torch.where(within < 1, (piece + within) / self._n_pieces, torch.inf).amin(-1)
 
     def _off_road(self, poses: _Poses) -> Tensor:
-        """[E, V] share of the step by the end of whose piece a footprint reaches over a kerb; inf where none does."""
+        """[E, V] share of the step at the end of the first piece that ends off the road; inf where none does."""
         is_off = self.road.is_off_road(self._boxes(poses.x, poses.y, poses.yaw))
         return torch.where(is_off, self._share, torch.inf).amin(-1)
 
@@ -135,12 +136,12 @@ class CollisionCheck:
         return boxes_from_pose(x, y, yaw, self.vehicle.length_m, self.vehicle.width_m)
 
 
-def _velocity(state: VehicleState, duration_s: float, most_m: Tensor) -> Tensor:
-    """[E, V, 2] m, driven in `duration_s` at the present velocity, but no farther than `most_m` [E, V]."""
-    distance = (state.speed * duration_s).minimum(most_m)
+def _tangent(state: VehicleState, duration_s: float, limit_m: Tensor) -> Tensor:
+    """[E, V, 2] m: displacement in `duration_s` at the present velocity, `limit_m` [E, V] at most."""
+    distance = (state.speed * duration_s).minimum(limit_m)
     return torch.stack([distance * torch.cos(state.yaw), distance * torch.sin(state.yaw)], -1)
 
 
 def _fields(boxes: Boxes, fn: Callable[[Tensor], Tensor]) -> Boxes:
-    """`fn` of every field that is a tensor."""
+    """Boxes with `fn` applied to every field that is a tensor."""
     return Boxes(*(fn(field) if isinstance(field, Tensor) else field for field in boxes))  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""How a vehicle gets from its state to the one its driver wants a control step later: exactly, or as a car does."""
+"""Vehicle dynamics: the state reached one control step after a driver has chosen a state, exactly or as a car would."""
 
 import math
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ SteerDegrees = Annotated[float, Field(gt=0, lt=90)]
 
 @schema
 class PerfectConfig:
-    """The vehicle is where the plan says."""
+    """Perfect tracking: a vehicle reaches the planned state."""
 
     kind: Literal["perfect"]
 
@@ -33,7 +33,7 @@ class PerfectConfig:
 
 @schema
 class BicycleConfig:
-    """A car that follows the plan; `conf/dynamics/bicycle.yaml` says what each value means."""
+    """A kinematic bicycle that tracks the plan; `conf/dynamics/bicycle.yaml` says what each value means."""
 
     kind: Literal["bicycle"]
     wheelbase_m: PositiveMetres
@@ -60,7 +60,7 @@ DynamicsConfig = Annotated[PerfectConfig | BicycleConfig, Field(discriminator="k
 
 
 class Dynamics(Protocol):
-    """Moves vehicles for one control step.
+    """The motion of vehicles during one control step.
 
     delay_steps: control steps D from a command to the actuators
     """
@@ -70,21 +70,23 @@ class Dynamics(Protocol):
     def move(
         self, vehicles: VehicleState, wanted: VehicleState, queue: Tensor
     ) -> tuple[VehicleState, VehicleState, Tensor]:
-        """`vehicles` [E, V] one control step later, what to plan on from, and the commands [E, D, V, 2] on their way.
+        """State [E, V] reached one control step later, state [E, V] to plan from then, and command queue [E, D, V, 2].
 
-        wanted: VehicleState [E, V], what the drivers want them to be then
-        queue: [E, D, V, 2] float32, on their way now, the oldest first: acceleration (m/s2), steering angle (rad)
+        vehicles: VehicleState [E, V], now
+        wanted: VehicleState [E, V], chosen by the drivers for one control step later
+        queue: [E, D, V, 2] float32, commands on their way to the actuators, the oldest first: acceleration (m/s2),
+            steering angle (rad)
         """
         ...
 
 
 def build_dynamics(config: PerfectConfig | BicycleConfig, dt_s: float) -> Dynamics:
-    """The dynamics that `config` is for, with control steps of `dt_s`."""
+    """Dynamics of a config, with control steps of `dt_s`."""
     return Bicycle(config, dt_s) if isinstance(config, BicycleConfig) else Perfect()
 
 
 class Perfect:
-    """Every vehicle is where its driver wants it."""
+    """Perfect tracking: every vehicle reaches the state that its driver wants."""
 
     delay_steps = 0
 
@@ -98,10 +100,10 @@ class Perfect:
 class Bicycle:
     """A kinematic bicycle whose reference point is the footprint's centre and moves along its heading.
 
-    That is the planner's view too (no slip: the heading is the path's), and with it the steering angle is
-    atan(wheelbase * curvature): a `VehicleState` holds all of a vehicle's state, its actuators' included. The true
-    centre of a car runs a little outside of its heading in a bend (with rear-axle steering geometry by
-    asin(curvature * wheelbase / 2)); that slip is left out, as in Waymax's bicycle model (Gulino 2023).
+    The planner makes the same assumption (no slip: the heading is that of the path). The steering angle is therefore
+    atan(wheelbase * curvature), and a `VehicleState` holds the state of the actuators too. The centre of a real car
+    runs a little outside of its heading in a bend (with rear-axle steering geometry by
+    asin(curvature * wheelbase / 2)). That slip is left out, as in Waymax's bicycle model (Gulino 2023).
     """
 
     def __init__(self, config: BicycleConfig, dt_s: float) -> None:
@@ -118,8 +120,8 @@ class Bicycle:
     ) -> tuple[VehicleState, VehicleState, Tensor]:
         """See `Dynamics.move`.
 
-        A driver plans on from its own plan, not from where the car lags behind: else every plan would start with
-        the lag of the one before. Only where the car has lost its plan by `replan_distance_m`, it plans anew.
+        The next plan starts from the planned state, so that it does not inherit the tracking error of the one before.
+        It starts from the car's own state where the two are more than `replan_distance_m` apart.
         """
         queue = torch.cat([queue, self.command(vehicles, wanted)[:, None]], dim=1)
         moved = self.actuate(vehicles, queue[:, 0])
@@ -127,16 +129,16 @@ class Bicycle:
         return moved, tree_where(is_lost, moved, wanted), queue[:, 1:]
 
     def command(self, vehicles: VehicleState, wanted: VehicleState) -> Tensor:
-        """[E, V, 2] float32: acceleration (m/s2) and steering angle (rad) that lead to the state wanted.
+        """[E, V, 2] float32: acceleration (m/s2) and steering angle (rad) that lead to the wanted state.
 
-        In one step the speed and, at driving speed, the heading wanted are reached but for the actuators' lag,
-        which is led; then the pose is corrected by how far off the vehicle would come on the arc wanted.
+        Feedforward reaches the wanted speed and, at driving speed, the wanted heading within one step. Lead terms
+        compensate the lag of the actuators. Feedback corrects the position error that the wanted arc would leave.
         """
         travelled = (vehicles.speed + wanted.speed) / 2 * self.dt_s
         position, yaw = _along_arc(vehicles.position, vehicles.yaw, wanted.curvature, travelled)
-        off = wanted.position - position
-        ahead = off[..., 0] * torch.cos(yaw) + off[..., 1] * torch.sin(yaw)
-        left = off[..., 1] * torch.cos(yaw) - off[..., 0] * torch.sin(yaw)
+        error = wanted.position - position
+        ahead = error[..., 0] * torch.cos(yaw) + error[..., 1] * torch.sin(yaw)
+        left = error[..., 1] * torch.cos(yaw) - error[..., 0] * torch.sin(yaw)
         gains = self.config
         accel_lead = gains.accel_time_constant_s * (wanted.accel - vehicles.accel)
         accel = (wanted.speed - vehicles.speed + accel_lead) / self.dt_s + gains.position_gain_1ps2 * ahead
@@ -146,7 +148,7 @@ class Bicycle:
         return torch.stack([accel, torch.atan(gains.wheelbase_m * curvature)], dim=-1)
 
     def actuate(self, vehicles: VehicleState, command: Tensor) -> VehicleState:
-        """`vehicles` after one control step in which the actuators approach `command` [E, V, 2]."""
+        """State [E, V] after one control step in which the actuators approach `command` [E, V, 2]."""
         wanted_accel = command[..., 0]
         wanted_steer = command[..., 1].clamp(-self._steer_max, self._steer_max)
         position, yaw, speed, accel = vehicles.position, vehicles.yaw, vehicles.speed, vehicles.accel

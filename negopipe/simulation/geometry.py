@@ -29,11 +29,11 @@ def boxes_from_pose(x: Tensor, y: Tensor, yaw: Tensor, length: float, width: flo
 
 
 def overlap_depth(a: Boxes, b: Boxes) -> Tensor:
-    """How far oriented rectangles reach into each other, [...] m: positive where they overlap.
+    """Depth of the overlap of oriented rectangles, [...] m: positive where they overlap.
 
     The separating-axis theorem: along each side of the two rectangles the sum of both half extents is compared
-    with the centres' distance; the smallest surplus counts. (A number instead of a yes or no, because maxima over
-    numbers run on vector units and reductions over booleans do not.)
+    with the distance of the centres. The smallest surplus is the depth. It is a number and no boolean, because maxima
+    over numbers run on vector units and reductions over booleans do not.
     """
     dx, dy = b.x - a.x, b.y - a.y
     cos = (a.cos * b.cos + a.sin * b.sin).abs()  # of the relative heading
@@ -46,8 +46,9 @@ def overlap_depth(a: Boxes, b: Boxes) -> Tensor:
 
 
 def time_to_collision(a: Boxes, b: Boxes, velocity: Tensor) -> Tensor:
-    """[...] s until the rectangles overlap if b moves with `velocity` [..., 2] (m/s) relative to a and neither turns;
-    0 if they do already, inf if they never will.
+    """[...] s until the rectangles overlap, where b moves at `velocity` [..., 2] (m/s) relative to a, without a turn.
+
+    It is 0 where they overlap already and inf where they never will.
 
     Along each of the four sides' directions the extents overlap for an interval of time (the separating-axis
     theorem); the rectangles overlap where all four intervals do.
@@ -67,7 +68,7 @@ def time_to_collision(a: Boxes, b: Boxes, velocity: Tensor) -> Tensor:
 
 
 def _extent(box: Boxes, cos: Tensor, sin: Tensor) -> Tensor:
-    """Half of what the rectangle measures along a direction, m."""
+    """Half extent of the rectangle along a direction, m."""
     along = (box.cos * cos + box.sin * sin).abs()
     across = (box.cos * sin - box.sin * cos).abs()
     return box.half_length * along + box.half_width * across
@@ -79,9 +80,9 @@ def wrap_angle(angle: Tensor) -> Tensor:
 
 
 def smoothstep(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The jerk-optimal step 10x^3 - 15x^4 + 6x^5 from 0 to 1 on [0, 1], constant outside, with two derivatives."""
+    """Jerk-optimal step 10x^3 - 15x^4 + 6x^5 from 0 to 1 on [0, 1], constant outside, and two derivatives."""
     x = x.clamp(0, 1)
     value = x * x * x * (10 + x * (6 * x - 15))
-    slope = 30 * x * x * (1 - x) * (1 - x)
-    bend = 60 * x * (1 - x) * (1 - 2 * x)
-    return value, slope, bend
+    first = 30 * x * x * (1 - x) * (1 - x)
+    second = 60 * x * (1 - x) * (1 - 2 * x)
+    return value, first, second

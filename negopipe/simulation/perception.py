@@ -1,7 +1,6 @@
-"""What a vehicle knows when it decides: itself, and the others as its sensor sees them.
+"""Perception: a vehicle's own state, and the others as its sensor sees them.
 
-Nothing else reaches a driver, so no driver can use what its vehicle would not have: the style, desired speed and
-plan of the others are not here.
+It is all that reaches a driver. The style, the desired speed and the plan of the others are not part of it.
 """
 
 from collections.abc import Iterator
@@ -21,7 +20,7 @@ from negopipe.tensors.tree import map_tensors
 
 @schema
 class PerceptionConfig:
-    """What vehicles see of each other; `conf/perception/noisy.yaml` says what each value means."""
+    """Errors and limits of the sensor; `conf/perception/noisy.yaml` says what each value means."""
 
     position_std_m: NonNegativeMetres
     yaw_std_rad: NonNegativeFloat
@@ -42,17 +41,17 @@ class PerceptionConfig:
 
 @dataclass(frozen=True)
 class Perception:
-    """Of S agents (vehicles that are driven), each seeing O = V - 1 others; E worlds.
+    """Perception of S agents (vehicles that are driven) in E worlds, each of which sees O = V - 1 others.
 
-    own: VehicleState [E, S], where the own plan has the vehicle (the tracking controller's reference)
+    own: VehicleState [E, S], state of the vehicle in its own plan (the reference of the tracking controller)
     direction: [E, S] float32, own driving direction along the road, +1 or -1
     desired_speed: [E, S] float32, m/s
     style_horizon: [E, S] float32, s, own driving style, the one in force now; NaN where the driver chooses
     other: VehicleState [E, S, O], as last sighted; acceleration from the speeds seen, curvature 0
-    is_seen: [E, S, O] bool; whoever is not seen has zeros in `other`, which mean nothing
+    is_seen: [E, S, O] bool; where false, the fields of `other` are 0 and mean nothing
     own_history: [E, K, S, 3] float32, own poses x, y, yaw (m, m, rad; world), index 0 now, one step apart
     other_history: [E, K, S, O, 3] float32, poses of the others
-    is_seen_history: [E, K, S, O] bool; whoever was not seen has zeros in `other_history`
+    is_seen_history: [E, K, S, O] bool; where false, `other_history` is 0 and means nothing
     """
 
     own: VehicleState
@@ -91,7 +90,7 @@ class Perception:
 
 
 class Sightings(NamedTuple):
-    """What every vehicle saw of every other in the last J steps, index 0 the latest.
+    """Sightings of every other vehicle by every vehicle in the last J steps, index 0 the latest.
 
     pose: [E, J, V, O, 3] float32, x, y, yaw (m, m, rad; world)
     speed: [E, J, V, O] float32, m/s
@@ -104,13 +103,13 @@ class Sightings(NamedTuple):
 
 
 class Sensor:
-    """Every vehicle's view of every other; of itself a vehicle knows the truth.
+    """Sensor of every vehicle: the others with errors, itself without.
 
-    A sighting's errors are a function of the task's noise seed, the episode's step in which it was taken, and who
-    saw whom: what was seen k steps ago is the same in every later frame, and no state is hidden here.
+    The errors of a sighting are a function of the task's noise seed, the step of the episode in which it was taken, the
+    viewer and the vehicle seen. A sighting is therefore the same at every later step, and the sensor has no state.
 
-    history_steps: how many past poses a perception holds beside the latest
-    memory_steps: how many past states a world must remember for that
+    history_steps: past poses in a perception beside the latest
+    memory_steps: past states that a world must keep for that
     """
 
     def __init__(self, config: PerceptionConfig, dt_s: float, history_steps: int) -> None:
@@ -126,9 +125,9 @@ class Sensor:
         self._sees_all = config.dropout_probability == 0 and config.range_m is None
 
     def perceive(self, world: World) -> Perception:
-        """What every vehicle knows now, S = V."""
+        """Perception of all vehicles, S = V."""
         task = world.task
-        seen = self._look(world)
+        seen = self._sightings(world)
         accel = (seen.speed[:, 0] - seen.speed[:, self._window]) / self._window_s
         if not self._sees_all:
             accel = torch.where(seen.is_seen[:, 0] & seen.is_seen[:, self._window], accel, 0.0)
@@ -146,8 +145,8 @@ class Sensor:
             is_seen_history=seen.is_seen[:, :n_frames],
         )
 
-    def _look(self, world: World) -> Sightings:
-        """All sightings that count now: the true states `delay_s` late, with errors."""
+    def _sightings(self, world: World) -> Sightings:
+        """Sightings of the last steps: the true states `delay_s` late, with errors."""
         steps = slice(self._delay, self._delay + self._n_sightings)
         pose, speed = world.pose_history[:, steps], world.speed_history[:, steps]
         others = other_columns(speed.shape[-1], speed.device)
@@ -163,7 +162,7 @@ class Sensor:
         )
 
     def _keys(self, world: World, others: Tensor) -> Tensor:
-        """[E, J, V, O] int64: a number for each sighting, the same whenever it is looked back at."""
+        """[E, J, V, O] int64: random key of each sighting, the same at every later step."""
         ago = torch.arange(self._n_sightings, device=others.device) + self._delay
         taken = (world.step[:, None] - ago).clamp(min=0)  # before the start the first state is repeated
         viewer = torch.arange(len(others), device=others.device)[:, None]
@@ -171,7 +170,7 @@ class Sensor:
         return mix(mix(key[..., None, None] + viewer) + others)
 
     def _is_seen(self, key: Tensor, pose: Tensor, seen: Sightings) -> Tensor:
-        """[E, J, V, O] bool: within range of the viewer's true place `pose` [E, J, V, 3], and not dropped."""
+        """[E, J, V, O] bool: within range of the viewer's true pose [E, J, V, 3], and not dropped."""
         config = self.config
         is_seen = uniform(key, channel=4) >= config.dropout_probability
         if config.range_m is not None:

@@ -1,4 +1,4 @@
-"""The road's reference line: straight, or a smooth curve of bends; positions along it and beside it.
+"""The reference line of the road, straight or with smooth bends: poses on it, and projections onto it.
 
 sigma  arc length, m, with sigma = 0 in the corridor's middle, where the line passes the world's origin along +x
 d      offset from the line to its left, m
@@ -19,7 +19,7 @@ REACH_M = 200.0
 """Bends lie within this distance from the corridor's middle; beyond it the line is straight."""
 
 KNOT_M = 0.5
-"""Spacing of the table of positions; from the nearest lower knot on, the heading is integrated."""
+"""Spacing of the table of positions, m; from the nearest lower knot on, the heading is integrated."""
 
 N_SEARCHED = 4
 """A projection starts at the nearest of every `N_SEARCHED`-th knot."""
@@ -78,9 +78,9 @@ class ReferenceLine:
         """Curvature kappa [...] (1/m, positive to the left) and its derivative kappa' [...] (1/m2) by arc length."""
         kappa, kappa_prime = torch.zeros_like(sigma), torch.zeros_like(sigma)
         for start, length, angle in self._bends:
-            _, slope, bend = smoothstep((sigma - start) / length)
-            kappa = kappa + (angle / length) * slope
-            kappa_prime = kappa_prime + (angle / length**2) * bend
+            _, first, second = smoothstep((sigma - start) / length)
+            kappa = kappa + (angle / length) * first
+            kappa_prime = kappa_prime + (angle / length**2) * second
         return kappa, kappa_prime
 
     def pose(self, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -90,7 +90,7 @@ class ReferenceLine:
         knot = torch.floor((sigma + REACH_M) / KNOT_M).clamp(0, self._knots.shape[1] - 1)
         x, y = self._knots[:, knot.long()].to(sigma.dtype)
         from_m = knot * KNOT_M - REACH_M
-        dx, dy = self._way(from_m, sigma - from_m)
+        dx, dy = self._displacement(from_m, sigma - from_m)
         return x + dx, y + dy, self.heading(sigma)
 
     def place(self, sigma: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
@@ -112,18 +112,18 @@ class ReferenceLine:
         nearest = ((x[..., None] - knot_x) ** 2 + (y[..., None] - knot_y) ** 2).argmin(-1)
         sigma = nearest.to(x.dtype) * (N_SEARCHED * KNOT_M) - REACH_M
         for _ in range(N_NEWTON):
-            ahead, d = self._seen_from(sigma, x, y)
+            ahead, d = self._in_line_frame(sigma, x, y)
             sigma = sigma + ahead / (1 - self.curvature(sigma)[0] * d).clamp(min=0.2)
-        return sigma, self._seen_from(sigma, x, y)[1]
+        return sigma, self._in_line_frame(sigma, x, y)[1]
 
-    def _seen_from(self, sigma: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """How far ahead and to the left [...] (m) positions lie, seen from the line's pose at sigma."""
+    def _in_line_frame(self, sigma: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Coordinates ahead and to the left [...] (m) of positions, in the frame of the line's pose at sigma."""
         line_x, line_y, heading = self.pose(sigma)
         cos, sin = torch.cos(heading), torch.sin(heading)
         dx, dy = x - line_x, y - line_y
         return dx * cos + dy * sin, dy * cos - dx * sin
 
-    def _way(self, from_m: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
+    def _displacement(self, from_m: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
         """Displacement x, y [...] (m) along the line from arc length `from_m` on; exact where it is straight."""
         dx, dy = torch.zeros_like(length), torch.zeros_like(length)
         for node, weight in GAUSS:
@@ -134,20 +134,20 @@ class ReferenceLine:
     def _tabulate(self) -> Tensor:
         """[2, K] float64, m: x, y of the knots, the middle one at the origin.
 
-        Integrated in pieces of 1/16 of a knot's spacing: at a bend's ends only the second derivative of the
-        heading is continuous, which costs a quadrature rule its order.
+        The heading is integrated in pieces of 1/16 of the spacing: at the ends of a bend only its second derivative
+        is continuous, which lowers the order of a quadrature rule.
         """
         n_pieces = 16
         n = round(2 * REACH_M / KNOT_M) * n_pieces
         piece = KNOT_M / n_pieces
         from_m = torch.arange(n, dtype=torch.float64) * piece - REACH_M
-        steps = torch.stack(self._way(from_m, torch.full_like(from_m, piece)))
-        way = torch.cat([torch.zeros(2, 1, dtype=torch.float64), steps.cumsum(1)], dim=1)[:, ::n_pieces]
-        return way - way[:, way.shape[1] // 2, None]
+        steps = torch.stack(self._displacement(from_m, torch.full_like(from_m, piece)))
+        knots = torch.cat([torch.zeros(2, 1, dtype=torch.float64), steps.cumsum(1)], dim=1)[:, ::n_pieces]
+        return knots - knots[:, knots.shape[1] // 2, None]
 
 
 def check_bends(bends: Sequence[BendConfig], width_m: float) -> None:
-    """Raise ValueError unless a road of `width_m` along these bends keeps clear of its centres and of itself.
+    """Raise ValueError unless a road of `width_m` along these bends is clear of its centres of curvature and of itself.
 
     Radii of at least the width keep 1 - kappa d above 1/2 on the road, and a line that turns by less than half a
     turn in all never meets itself.

@@ -14,12 +14,12 @@ from negopipe.simulation.reference_line import BendConfig, ReferenceLine, check_
 from negopipe.simulation.state import VehicleState
 
 KERB_STEP_M = 0.5
-"""Spacing of the points of a drawn kerb."""
+"""Spacing of the points of a drawn kerb, m."""
 
 
 @schema
 class RoadConfig:
-    """Sizes of the road in metres; see `conf/scenario/narrow_lane.yaml` for each one's meaning."""
+    """Sizes of the road in metres; `conf/scenario/narrow_lane.yaml` says what each value means."""
 
     bends: list[BendConfig]
     width_m: PositiveMetres
@@ -95,7 +95,7 @@ class Road:
         return Boxes(x, y, torch.cos(yaw), torch.sin(yaw), length / 2, width / 2)
 
     def off_road_boxes(self) -> Boxes:
-        """Rectangles that cover what lies beyond the kerbs, as far as a vehicle sees; fields [R], world frame."""
+        """Rectangles that cover the area beyond the kerbs, as far as a vehicle sees; fields [R], world frame."""
         return off_road_boxes(self.reference, self.config.width_m, self.parked_cars.device)
 
     def kerb_lines(self, first_m: float, last_m: float) -> Tensor:
@@ -119,7 +119,7 @@ class Road:
         return (self.reference.project(x, y)[1].abs() > half_road).any(-1)
 
     def route_offset(self, s: Tensor, direction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Where the route runs at s [...]: offset d (m), d' and d'' by s: own lane, corridor, own lane.
+        """Offset d (m) of the route at s [...], with d' (1) and d'' (1/m) by s: own lane, corridor, own lane.
 
         Outside the corridor the route keeps right (negative d), inside it follows the gap's middle line; it is
         symmetric about the corridor's middle. `direction` (+1 or -1) broadcasts with s.
@@ -128,14 +128,15 @@ class Road:
         half = config.corridor_length_m / 2
         from_middle = s - half
         rate = 1 / config.swerve_length_m  # the planner's innermost loop: a product costs less than a division
-        value, slope, bend = smoothstep((from_middle.abs() - half - config.swerve_margin_m) * rate)
-        slope = slope * torch.sign(from_middle) * rate
-        bend = bend * rate**2
+        step, step_prime, step_pprime = smoothstep((from_middle.abs() - half - config.swerve_margin_m) * rate)
+        step_prime = step_prime * torch.sign(from_middle) * rate
+        step_pprime = step_pprime * rate**2
         if self._gap_middle_m == 0:
-            return -config.lane_offset_m * value, -config.lane_offset_m * slope, -config.lane_offset_m * bend
+            lane = -config.lane_offset_m
+            return lane * step, lane * step_prime, lane * step_pprime
         middle = direction * self._gap_middle_m
         shift = -config.lane_offset_m - middle
-        return middle + shift * value, shift * slope, shift * bend
+        return middle + shift * step, shift * step_prime, shift * step_pprime
 
     def curvature(self, s: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
         """kappa (1/m, positive to the left) and kappa' (1/m2, by s) of the line at s [...], seen by a driver.
@@ -158,9 +159,9 @@ class Road:
         Two vehicles a few metres apart are compared in a plane, not along a curve. The line is taken as an arc
         around `at_s`, to second order in the angle between the two places.
 
-        at_s, ahead: m, the frame's place and how far ahead of it the point is along the line
-        d, d_prime: m, 1, of the point and of its path, in the route frame
-        Returns u, v (m, ahead and to the left of the frame's origin on the line) and the tangent of the heading.
+        at_s, ahead: m, place of the frame, and distance of the point ahead of it along the line
+        d, d_prime: m and 1, offset of the point and its derivative along its path, in the route frame
+        Returns u and v (m, ahead and to the left of the frame's origin on the line) and the tangent of the heading.
         """
         if self.reference.is_straight:
             return ahead, d, d_prime
@@ -171,7 +172,7 @@ class Road:
         return scale * ahead, d + scale * angle * ahead / 2, tan + angle * (1 + tan**2)
 
     def direction_of(self, vehicles: VehicleState) -> Tensor:
-        """+1 for vehicles [...] that head along the line, -1 for those that head against it, read off the yaw."""
+        """Driving direction of vehicles [...] by their yaw: +1 along the line, -1 against it."""
         heading = vehicles.yaw
         if not self.reference.is_straight:
             sigma, _ = self.reference.project(*vehicles.position.unbind(-1))
@@ -181,7 +182,8 @@ class Road:
     def to_route(self, vehicles: VehicleState, direction: Tensor) -> RouteState:
         """World frame -> route frame of the driving direction [...] (+1 along the line, -1 against it).
 
-        Werling 2010, Appendix I; `bulge` is (kappa d)', `stretch` is metres of path per metre of the line.
+        Werling 2010, Appendix I, with `path_per_road` the metres of path per metre of the line, `kappa_d_prime` the
+        derivative (kappa d)' and `heading_prime` the rate at which the heading turns relative to the line, all by s.
         """
         if self.reference.is_straight:
             return self._to_straight_route(vehicles, direction)
@@ -191,14 +193,14 @@ class Road:
         kappa = direction * kappa
         heading = wrap_angle(vehicles.yaw - self.reference.heading(sigma) - (1 - direction) * (math.pi / 2))
         scale, cos, tan = 1 - kappa * d, torch.cos(heading), torch.tan(heading)
-        stretch = scale / cos
+        path_per_road = scale / cos
         d_prime = scale * tan
-        bulge = kappa_prime * d + kappa * d_prime
-        turn = vehicles.curvature * stretch - kappa  # of the heading relative to the line, by s
-        s_dot = vehicles.speed / stretch
-        s_ddot = (vehicles.accel - s_dot**2 * (d_prime * turn - bulge) / cos) / stretch
+        kappa_d_prime = kappa_prime * d + kappa * d_prime
+        heading_prime = vehicles.curvature * path_per_road - kappa
+        s_dot = vehicles.speed / path_per_road
+        s_ddot = (vehicles.accel - s_dot**2 * (d_prime * heading_prime - kappa_d_prime) / cos) / path_per_road
         s = direction * sigma + self.config.corridor_length_m / 2
-        return RouteState(s, s_dot, s_ddot, d, d_prime, stretch * turn / cos - bulge * tan)
+        return RouteState(s, s_dot, s_ddot, d, d_prime, path_per_road * heading_prime / cos - kappa_d_prime * tan)
 
     def to_world(self, route: RouteState, direction: Tensor) -> VehicleState:
         """Route frame -> world frame, the inverse of `to_route`."""
@@ -208,39 +210,39 @@ class Road:
         kappa, kappa_prime = self.reference.curvature(sigma)
         kappa = direction * kappa
         scale = 1 - kappa * route.d
-        bulge = kappa_prime * route.d + kappa * route.d_prime
+        kappa_d_prime = kappa_prime * route.d + kappa * route.d_prime
         heading = torch.atan(route.d_prime / scale)
         cos, tan = torch.cos(heading), route.d_prime / scale
-        stretch = scale / cos
-        turn = (route.d_pprime + bulge * tan) * cos / stretch
+        path_per_road = scale / cos
+        heading_prime = (route.d_pprime + kappa_d_prime * tan) * cos / path_per_road
         yaw = heading + self.reference.heading(sigma) + (1 - direction) * (math.pi / 2)
         return VehicleState(
             position=torch.stack(self.reference.place(sigma, direction * route.d), dim=-1),
             yaw=wrap_angle(yaw),
-            speed=route.s_dot * stretch,
-            accel=route.s_ddot * stretch + route.s_dot**2 * (route.d_prime * turn - bulge) / cos,
-            curvature=(turn + kappa) / stretch,
+            speed=route.s_dot * path_per_road,
+            accel=route.s_ddot * path_per_road + route.s_dot**2 * (route.d_prime * heading_prime - kappa_d_prime) / cos,
+            curvature=(heading_prime + kappa) / path_per_road,
         )
 
     def _to_straight_route(self, vehicles: VehicleState, direction: Tensor) -> RouteState:
         heading = wrap_angle(vehicles.yaw - (1 - direction) * (math.pi / 2))
         d_prime = torch.tan(heading)
-        stretch = torch.sqrt(1 + d_prime**2)
-        d_pprime = vehicles.curvature * stretch**3
-        s_dot = vehicles.speed / stretch
-        s_ddot = (vehicles.accel - s_dot**2 * d_prime * d_pprime / stretch) / stretch
+        path_per_road = torch.sqrt(1 + d_prime**2)
+        d_pprime = vehicles.curvature * path_per_road**3
+        s_dot = vehicles.speed / path_per_road
+        s_ddot = (vehicles.accel - s_dot**2 * d_prime * d_pprime / path_per_road) / path_per_road
         s = self.progress(vehicles.position, direction)
         return RouteState(s, s_dot, s_ddot, direction * vehicles.position[..., 1], d_prime, d_pprime)
 
     def _to_straight_world(self, route: RouteState, direction: Tensor) -> VehicleState:
-        stretch = torch.sqrt(1 + route.d_prime**2)
+        path_per_road = torch.sqrt(1 + route.d_prime**2)
         heading = torch.atan(route.d_prime)
         return VehicleState(
             position=torch.stack([self._sigma(route.s, direction), direction * route.d], dim=-1),
             yaw=wrap_angle(heading + (1 - direction) * (math.pi / 2)),
-            speed=route.s_dot * stretch,
-            accel=route.s_ddot * stretch + route.s_dot**2 * route.d_prime * route.d_pprime / stretch,
-            curvature=route.d_pprime / stretch**3,
+            speed=route.s_dot * path_per_road,
+            accel=route.s_ddot * path_per_road + route.s_dot**2 * route.d_prime * route.d_pprime / path_per_road,
+            curvature=route.d_pprime / path_per_road**3,
         )
 
     def _sigma(self, s: Tensor, direction: Tensor) -> Tensor:
@@ -254,7 +256,7 @@ def _gap_middle(config: RoadConfig) -> float:
 
 
 def _park(config: RoadConfig) -> Tensor:
-    """The rows of parked cars [P, 4] on the line, evenly spread so that each row fills the corridor."""
+    """[P, 4] float32: the rows of parked cars on the line, evenly spread so that each row fills the corridor."""
     n, length, width = config.n_parked_per_side, config.parked_car_length_m, config.parked_car_width_m
     last = (config.corridor_length_m - length) / 2
     sigma = torch.linspace(-last, last, n) if n > 1 else torch.zeros(1)
@@ -266,7 +268,7 @@ def _park(config: RoadConfig) -> Tensor:
 
 
 def _rim(boxes: Boxes) -> tuple[Tensor, Tensor]:
-    """x, y [..., 6] (m) of the corners and of the long sides' middles."""
+    """Positions x, y [..., 6] (m) of the corners and of the middles of the long sides."""
     ahead = torch.tensor([1.0, 0.0, -1.0, 1.0, 0.0, -1.0], device=boxes.x.device)
     left = torch.tensor([1.0, 1.0, 1.0, -1.0, -1.0, -1.0], device=boxes.x.device)
     half_length, half_width = (torch.as_tensor(half)[..., None] for half in (boxes.half_length, boxes.half_width))

@@ -1,4 +1,4 @@
-"""Tasks: which vehicles start where, how fast, and in which driving style."""
+"""Tasks: the start positions, speeds and driving styles of an episode, and the distributions they are drawn from."""
 
 import math
 from collections.abc import Iterator
@@ -40,11 +40,11 @@ Styles = Annotated[list[NonNegativeFloat], Field(min_length=1)]
 
 @schema
 class StyleSwitchConfig:
-    """When a social vehicle changes its style, once per episode; of two causes the first to come counts.
+    """Change of a social vehicle's style, once per episode, at the earlier of two causes.
 
-    style_horizon_s: the styles switched to, each equally likely (the one it had may come again)
-    at_s: uniform interval of the time in the episode; null = not by the clock
-    stuck_s: uniform interval of the time at rest without a break (`World.rest_steps`); null = not for being stuck
+    style_horizon_s: the new styles, each equally likely (the old one may be among them)
+    at_s: uniform interval of the time in the episode; null = time is no cause
+    stuck_s: uniform interval of the time at rest without a break (`World.rest_steps`); null = rest is no cause
     """
 
     style_horizon_s: Styles
@@ -60,7 +60,7 @@ class StyleSwitchConfig:
 
 @schema
 class FamilyConfig:
-    """A family of tasks: the social vehicle's start distances and styles.
+    """A family of tasks: the start distances and styles of the social vehicles.
 
     weight: share of the family among the tasks drawn, relative to the other families
     start_distance_m: uniform interval, of the first social vehicle to its mouth of the corridor
@@ -98,14 +98,14 @@ class FamilyConfig:
 
     @property
     def pieces_m(self) -> list[tuple[float, float]]:
-        """What the gaps leave of the start distances: intervals that are longer than 0, ascending."""
+        """The start distances without the gaps: intervals that are longer than 0, ascending, m."""
         low, high = self.start_distance_m
         ends = [low, *(end for gap in self.gaps_m for end in gap), high]
         return [piece for piece in zip(ends[::2], ends[1::2], strict=True) if piece[0] < piece[1]]
 
 
 Families = dict[FileName, FamilyConfig]
-"""By name, which is part of the names of the report's files."""
+"""Families by name; the name is part of file names of the report."""
 
 
 @schema
@@ -131,10 +131,10 @@ class ScenarioConfig:
 
 
 def pair_styles(families: Families, pairing: str) -> Families:
-    """Settle whose behaviour `push` and `yield` name (docs/reading.md, "start positions").
+    """The families under one of two readings of the labels `push` and `yield` (docs/reading.md, "start positions").
 
-    `ego_behaviour` leaves the families as configured; `literal` reads the paper's labels as the style of the
-    social vehicle, which swaps the styles of the two families and their switches. Other families are not touched.
+    `ego_behaviour` leaves the families as configured. `literal` reads the paper's labels as the style of the social
+    vehicle, which swaps the styles and the switches of these two families. Other families stay as they are.
     """
     if pairing == "ego_behaviour" or not {"push", "yield"} <= families.keys():
         return families
@@ -147,16 +147,16 @@ def pair_styles(families: Families, pairing: str) -> Families:
 
 
 NEVER = (math.inf, math.inf)
-"""An interval that nothing comes to."""
+"""Interval of an event that never happens."""
 
 
 class _Tables(NamedTuple):
-    """What F families draw from, by the index of the family.
+    """Distributions of F families, by the index of the family.
 
     until: [F] float32, cumulative shares of the families
     distance, switch_time, patience: [F, 2] float32, intervals; m, s, s; (inf, inf) for never
-    gaps: [F, G, 2] float32, m, inside `distance`, ascending; filled up with (inf, inf)
-    styles, next_styles: [F, K] float32, s, filled up; n_styles, n_next_styles: [F], how many of them count
+    gaps: [F, G, 2] float32, m, inside `distance`, ascending; padded with (inf, inf)
+    styles, next_styles: [F, K] float32, s, padded with NaN; n_styles, n_next_styles: [F], their numbers
     """
 
     until: Tensor
@@ -171,10 +171,9 @@ class _Tables(NamedTuple):
 
 
 class TaskSampler:
-    """Draws tasks from a mixture of families with a generator of its own.
+    """Sampler of tasks from a mixture of families, with a generator of its own.
 
-    Every draw takes the same number of random values whatever it draws, so a sampler's stream can be compared
-    between configurations.
+    Every task takes the same number of random values, so streams of different configurations can be compared.
     """
 
     def __init__(self, scenario: ScenarioConfig, families: Families, generator: torch.Generator) -> None:
@@ -186,7 +185,7 @@ class TaskSampler:
         self._tables = _tabulate(list(self.families.values()), generator.device)
 
     def draw(self, n: int) -> Task:
-        """`n` tasks, on the generator's device."""
+        """Draw `n` tasks, on the generator's device."""
         scenario, tables, n_social = self.scenario, self._tables, self.scenario.n_social
         n_vehicles = 1 + n_social
         widths = [1, 1, 1, 1, n_vehicles, n_vehicles, n_social, n_social, n_social, n_social]
@@ -217,8 +216,8 @@ def _tabulate(families: list[FamilyConfig], device: torch.device) -> _Tables:
     switches = [family.style_switch for family in families]
     pieces = [family.pieces_m or [family.start_distance_m] for family in families]
     weights = torch.tensor([family.weight for family in families], dtype=torch.float64)
-    styles, n_styles = _filled_up([family.style_horizon_s for family in families])
-    next_styles, n_next_styles = _filled_up([s.style_horizon_s if s else [math.nan] for s in switches])
+    styles, n_styles = _padded([family.style_horizon_s for family in families])
+    next_styles, n_next_styles = _padded([s.style_horizon_s if s else [math.nan] for s in switches])
     tables = _Tables(
         until=(weights.cumsum(0) / weights.sum()).float(),
         distance=torch.tensor([(each[0][0], each[-1][1]) for each in pieces]),
@@ -234,22 +233,22 @@ def _tabulate(families: list[FamilyConfig], device: torch.device) -> _Tables:
 
 
 def _gaps_between(pieces: list[list[tuple[float, float]]]) -> Tensor:
-    """[F, G, 2] float32. A gap at an end of the start distances only moves that end, so none of it lies between."""
+    """[F, G, 2] float32, m: gaps between the pieces of each family; a gap at an end of the interval is none of them."""
     gaps = [[(before[1], behind[0]) for before, behind in pairwise(each)] for each in pieces]
     longest = max(map(len, gaps))
     filled = [each + [NEVER] * (longest - len(each)) for each in gaps]
     return torch.tensor(filled).reshape(len(gaps), longest, 2)
 
 
-def _filled_up(rows: list[list[float]]) -> tuple[Tensor, Tensor]:
-    """[F, K] float32 and the lengths [F] of the rows."""
+def _padded(rows: list[list[float]]) -> tuple[Tensor, Tensor]:
+    """Rows padded with NaN [F, K] float32, and their lengths [F]."""
     longest = max(map(len, rows))
     filled = [row + [math.nan] * (longest - len(row)) for row in rows]
     return torch.tensor(filled), torch.tensor([len(row) for row in rows])
 
 
 def _one_of(values: Tensor, n_values: Tensor, family: Tensor, share: Tensor) -> Tensor:
-    """[n, V] float32: one of the family's values per vehicle."""
+    """[n, V] float32: one of the values of the family for each vehicle."""
     last = (n_values - 1)[family, None]
     index = (share * n_values[family, None]).long().minimum(last)
     return values[family].gather(1, index)
@@ -261,19 +260,19 @@ def _between(interval: tuple[float, float], share: Tensor) -> Tensor:
 
 
 def _between_each(intervals: Tensor, share: Tensor) -> Tensor:
-    """[n, V] float32 from the rows' intervals [n, 2]; one at infinity gives infinity."""
+    """[n, V] float32 from the intervals [n, 2] of the rows; an interval at infinity gives infinity."""
     low, high = intervals[:, :1], intervals[:, 1:]
     return torch.where(low.isinf(), low, low + (high - low) * share)
 
 
 def _outside(gaps: Tensor, intervals: Tensor, share: Tensor) -> Tensor:
-    """[n, V] float32 from the rows' intervals [n, 2] without their gaps [n, G, 2].
+    """[n, V] float32 from the intervals [n, 2] of the rows without their gaps [n, G, 2].
 
-    What is drawn of the interval less the gaps' lengths moves up by every gap that it has reached. The bounds
-    take what float32 rounds: into a gap, or past the interval's end.
+    A place is drawn in an interval that is shorter by the gaps, and moved up by every gap that it reaches. The bounds
+    correct float32 rounding into a gap or past the end of the interval.
     """
     low, high = intervals[:, :1], intervals[:, 1:]
-    length = high - low - gaps.diff(dim=-1).nan_to_num(nan=0.0).sum(dim=1)  # nan: inf - inf, of those filled up
+    length = high - low - gaps.diff(dim=-1).nan_to_num(nan=0.0).sum(dim=1)  # NaN: inf - inf, of the padding
     distance = low + length * share
     for gap in gaps.unbind(dim=1):
         start, end = gap.split(1, dim=1)
@@ -282,5 +281,5 @@ def _outside(gaps: Tensor, intervals: Tensor, share: Tensor) -> Tensor:
 
 
 def _with_ego(ego: float, social: Tensor) -> Tensor:
-    """[n, 1 + S]: `ego` in the ego's column, then the social vehicles'."""
+    """[n, 1 + S]: the value `ego` in the ego's column, then those of the social vehicles."""
     return torch.cat([social.new_full((len(social), 1), ego), social], dim=1)

@@ -1,7 +1,7 @@
-"""Batched worlds: reset and step. State goes in, state comes out; nothing is hidden.
+"""The simulator of batched worlds: reset and step. State goes in, state comes out.
 
-The simulator moves vehicles and tells what happened. Who drives them (`negopipe.agents.driver`) and what the ego is
-paid (`negopipe.game.reward`) is not its business.
+It moves vehicles and reports events. Drivers (`negopipe.agents.driver`) and the reward (`negopipe.game.reward`) are
+not part of it.
 """
 
 from dataclasses import dataclass, replace
@@ -17,13 +17,13 @@ from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import AT_REST_MPS, EGO, Task, VehicleState, World
 from negopipe.tensors.tree import map_tensors, tree_where
 
-SETTLING_S = 1.0
-"""Start of an episode in which rest does not count as being stuck: a task may start vehicles from rest."""
+UNCOUNTED_REST_S = 1.0
+"""Time from the start of an episode in which rest does not count as being stuck: a task may start vehicles at rest."""
 
 
 @dataclass(frozen=True)
 class Events:
-    """What a step led to, per world.
+    """Events of one step, per world.
 
     is_success: [E] bool, every vehicle has reached its target and none has collided; after a collision among social
         vehicles the ego's arrival is enough
@@ -31,7 +31,7 @@ class Events:
     is_social_collision: [E] bool, only social vehicles have collided, now or earlier in the episode
     is_terminated: [E] bool, success or collision
     is_truncated: [E] bool, an episode that was not terminated is over: by the time limit, or because a collision among
-        social vehicles has closed the ego's way
+        social vehicles blocks the route of the ego
     """
 
     is_success: Tensor
@@ -42,10 +42,10 @@ class Events:
 
 
 class Simulator:
-    """The world's rules for one scenario.
+    """The simulator of one scenario.
 
-    dynamics: how vehicles get to where their drivers want them
-    history_steps: how many past poses and speeds a world remembers beside the present ones
+    dynamics: motion of the vehicles towards the states that their drivers want
+    history_steps: past poses and speeds that a world keeps beside the present ones
     """
 
     def __init__(
@@ -111,20 +111,20 @@ class Simulator:
         return moved, self._events(moved, s)
 
     def _repeat(self, start: Tensor) -> Tensor:
-        """[E, ...] -> [E, K, ...]: a history in which nothing has happened yet."""
+        """[E, ...] -> [E, K, ...]: the history at the start of an episode."""
         return start[:, None].repeat(1, 1 + self.history_steps, *[1] * (start.dim() - 1))
 
     def _styles(self, world: World, motion: VehicleState) -> tuple[Tensor, Tensor]:
-        """`rest_steps` and `has_switched` of the world in which `motion` is reached, [E, V] each."""
+        """New `rest_steps` and `has_switched` of a world whose vehicles have reached `motion`, [E, V] each."""
         dt = self.scenario.dt_s
         time = (world.step[:, None] + 1) * dt
-        is_stuck = (motion.speed < AT_REST_MPS) & (time > SETTLING_S + dt / 2)
+        is_stuck = (motion.speed < AT_REST_MPS) & (time > UNCOUNTED_REST_S + dt / 2)
         rest_steps = torch.where(is_stuck, world.rest_steps + 1, 0)
         has_lost_patience = is_stuck & (rest_steps * dt > world.task.patience - dt / 2)
         return rest_steps, world.has_switched | has_lost_patience | (time > world.task.switch_time - dt / 2)
 
     def _events(self, world: World, s: Tensor) -> Events:
-        """s: [E, V] m, of the vehicles on their routes"""
+        """Events of a world that a step has led to; s: [E, V] m, of the vehicles on their routes."""
         has_arrived, has_collided = world.has_reached, world.has_collided
         is_collision = has_collided[:, EGO]
         is_social_collision = has_collided[:, EGO + 1 :].any(-1) & ~is_collision
@@ -132,12 +132,12 @@ class Simulator:
         is_success = is_success & ~is_collision
         is_terminated = is_collision | is_success
         is_over = (world.step >= self.scenario.episode_steps) | (
-            is_social_collision & self._is_closed(world, s[:, EGO])
+            is_social_collision & self._is_blocked(world, s[:, EGO])
         )
         return Events(is_success, is_collision, is_social_collision, is_terminated, is_over & ~is_terminated)
 
-    def _is_closed(self, world: World, s: Tensor) -> Tensor:
-        """[E] bool: a vehicle that has collided stands on the route of the ego, which is at `s` [E] (m)."""
+    def _is_blocked(self, world: World, s: Tensor) -> Tensor:
+        """[E] bool: a wreck stands on the route of the ego, ahead of its place `s` [E] (m)."""
         wrecks = map_tensors(lambda field: field[:, EGO + 1 :], world.vehicles)
         direction = world.task.direction[:, EGO : EGO + 1]
         is_ahead = self.road.progress(wrecks.position, direction) > s[:, None]

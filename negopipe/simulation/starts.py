@@ -1,4 +1,4 @@
-"""Whether tasks can be driven at all: nobody starts in a collision, and the corridor is wide enough for a vehicle."""
+"""Checks of start positions: no vehicle starts in a collision, and the corridor is wide enough for a vehicle."""
 
 from collections.abc import Iterator, Mapping
 
@@ -11,23 +11,23 @@ from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig
 
 STEP_M = 0.25
-"""Spacing of the start distances that are tried of an interval."""
+"""Spacing of the start distances that are checked in an interval, m."""
 
 SEARCHED_M = 50.0
-"""How far the next clear start is looked for."""
+"""Length of the search for a clear start, m."""
 
 FARTHEST_M = 1000.0
 """Start distances that are tried at most: farther away the road is the same everywhere."""
 
 TOUCH_M = 1e-3
-"""Overlap that counts; less is rounding."""
+"""Smallest overlap that is a contact, m; less is rounding."""
 
 
 def check_starts(scenario: ScenarioConfig, families: Mapping[str, FamilyConfig], ego_key: str) -> Iterator[Problem]:
     """Tasks of `families` that may start a vehicle in a parked car, over a kerb or in another vehicle.
 
-    families: by the key of each
-    ego_key: where `scenario.ego_start_distance_m` comes from
+    families: task families by their config key
+    ego_key: config key of `scenario.ego_start_distance_m`, for the message
     """
     starts = _Starts(scenario)
     yield from starts.check_corridor()
@@ -42,6 +42,8 @@ def check_starts(scenario: ScenarioConfig, families: Mapping[str, FamilyConfig],
 
 
 class _Starts:
+    """Start positions of a scenario, and their checks."""
+
     def __init__(self, scenario: ScenarioConfig) -> None:
         self.scenario, self.size, self.road = scenario, scenario.vehicle, Road(scenario.road)
 
@@ -88,7 +90,7 @@ class _Starts:
             yield Problem(f"{key} and {ego_key}", "keep the vehicles apart", f"{social_m} and {ego_m} {across}")
 
     def _touches(self, distance: Tensor, direction: float) -> Tensor:
-        """[...] bool: what starts at the distances [...] reaches into a parked car or over a kerb."""
+        """[...] bool: a vehicle with the start distance [...] reaches into a parked car or over a kerb."""
         boxes, parked = self._boxes(distance, direction), self.road.parked_boxes()
         x, y, cos, sin = (field[..., None] for field in boxes[:4])
         is_in_a_car = overlap_depth(boxes._replace(x=x, y=y, cos=cos, sin=sin), parked) > TOUCH_M
@@ -96,9 +98,9 @@ class _Starts:
 
     def _boxes(self, distance: Tensor, direction: float) -> Boxes:
         """Footprints [...] of vehicles that start `distance` [...] before their mouth, on their route."""
-        way, zero = torch.full_like(distance, direction), torch.zeros_like(distance)
-        start = RouteState(-distance, zero, zero, *self.road.route_offset(-distance, way))
-        vehicles = self.road.to_world(start, way)
+        directions, zero = torch.full_like(distance, direction), torch.zeros_like(distance)
+        start = RouteState(-distance, zero, zero, *self.road.route_offset(-distance, directions))
+        vehicles = self.road.to_world(start, directions)
         x, y = vehicles.position.unbind(-1)
         return boxes_from_pose(x, y, vehicles.yaw, self.size.length_m, self.size.width_m)
 

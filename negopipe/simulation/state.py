@@ -49,14 +49,14 @@ class VehicleState:
 
 @dataclass(frozen=True)
 class Task:
-    """What an episode starts from; drawn by `scenario.TaskSampler`.
+    """Initial conditions of E episodes; drawn by `scenario.TaskSampler`.
 
     start_distance: [E, V] float32, m, from the vehicle's centre to the mouth that it meets first
     start_speed, desired_speed: [E, V] float32, m/s
-    style_horizon: [E, V] float32, s, prediction horizon of the social vehicles; NaN for the ego, who chooses
-    next_style_horizon: [E, V] float32, s, what a vehicle switches to; NaN where it never does
-    switch_time: [E, V] float32, s, time in the episode at which it switches; inf = never
-    patience: [E, V] float32, s, time at rest without a break after which it switches; inf = never
+    style_horizon: [E, V] float32, s, prediction horizon of the social vehicles; NaN for the ego, which chooses
+    next_style_horizon: [E, V] float32, s, prediction horizon after a switch; NaN where there is none
+    switch_time: [E, V] float32, s, time in the episode of a switch; inf = never
+    patience: [E, V] float32, s, time at rest without a break before a switch; inf = never
     direction: [E, V] float32, +1 drives towards growing sigma (+x in the corridor), -1 against it
     noise_seed: [E] int64, from 0 to 2^24 - 1, of the errors with which vehicles perceive each other
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
@@ -79,11 +79,11 @@ class Task:
 
 @dataclass(frozen=True)
 class World:
-    """Everything the simulator needs to go on; a step maps one to the next.
+    """Complete state of E worlds; a step maps one to the next.
 
     vehicles: VehicleState [E, V]
-    reference: VehicleState [E, V], where each vehicle's own plan has it, from which it plans on; with perfect
-        dynamics that is where it is
+    reference: VehicleState [E, V], state of each vehicle in its own plan, from which the next plan starts; with
+        perfect dynamics the same as `vehicles`
     task: Task
     step: [E] int64, decisions taken in this episode
     has_reached: [E, V] bool, the vehicle has passed its target in this episode
@@ -114,6 +114,12 @@ class World:
         """[E, V] float32, s: the driving style in force now; NaN for the ego."""
         return torch.where(self.has_switched, self.task.next_style_horizon, self.task.style_horizon)
 
+    def horizons(self, ego: Tensor | float) -> Tensor:
+        """[E, V] float32, s: `ego` [E] for the ego, the driving style in force now for the social vehicles."""
+        horizons = self.style_horizon
+        horizons[:, EGO] = ego
+        return horizons
+
 
 def world_memory(n_worlds: int, n_vehicles: int, memory_steps: int, delay_steps: int) -> Memory:
     """Memory of worlds that remember `memory_steps` past states, while everyone looks at everyone's past."""
@@ -125,10 +131,10 @@ def world_memory(n_worlds: int, n_vehicles: int, memory_steps: int, delay_steps:
 
 @dataclass(frozen=True)
 class Motion:
-    """What a driver makes its vehicle do until the next decision; E worlds, S agents.
+    """Motion of S agents in E worlds until the next decision, as their drivers want it.
 
     state: VehicleState [E, S], wanted one control step later
-    horizon: [E, S] float32, s, prediction horizon that was used; NaN for a driver that does not use one
+    horizon: [E, S] float32, s, prediction horizon of the plan; NaN for a driver without one
     is_full_braking: [E, S] bool, no feasible plan existed
     """
 

@@ -21,7 +21,7 @@ from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
 from negopipe.game.game import Game
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.report.description import log_summary
-from negopipe.runtime.build import build, load_policy
+from negopipe.runtime.build import build, load_weights
 from negopipe.runtime.progress import ProgressLine
 from negopipe.runtime.workers import n_processes, side_by_side
 from negopipe.search.oracle_table import DOES_NOT_FIT, drive_oracle, read_oracle
@@ -47,7 +47,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Drive every planner through every setting; writes episodes.csv, traces.npz and metrics.json."""
     checkpoint = checkpoint_of(config, tracked)
     game, policy = build(config)
-    load_policy(checkpoint, policy, config)
+    load_weights(checkpoint, policy, config)
     jobs = _jobs(config, game, policy)
     names = list(jobs)
     n = n_processes(config.device, int(config.n_threads))

@@ -14,7 +14,7 @@ from negopipe.evaluation.replay import PolicyTrace, record_policy, replay
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
 from negopipe.game.game import Game
 from negopipe.report import animation
-from negopipe.runtime.build import build, load_policy
+from negopipe.runtime.build import build, load_weights
 from negopipe.simulation.state import Task
 from negopipe.stages.evaluate import checkpoint_of, drive_baseline, held_out_tasks, measure
 from negopipe.stages.report import make_scene
@@ -49,7 +49,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """
     which, row = find_episode(config, tracked.folder)
     game, policy = build(config)
-    load_policy(checkpoint_of(config, tracked), policy, config)
+    load_weights(checkpoint_of(config, tracked), policy, config)
     only = slice(which.episode, which.episode + 1)
     tasks = map_tensors(lambda field: field[only], held_out_tasks(config, game, which.setting))
     trace = _drive(config, game, tasks, which, row)

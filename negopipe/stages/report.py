@@ -26,7 +26,7 @@ from negopipe.report.sections import (
     training_section,
     unseen_distances,
 )
-from negopipe.runtime.build import build, load_policy
+from negopipe.runtime.build import build, load_weights
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import EGO
@@ -117,7 +117,7 @@ def record_policies(
         return {}
     log.info("report: replay of the policy")
     game, policy = build(config)
-    load_policy(checkpoint_of(config, run), policy, config)
+    load_weights(checkpoint_of(config, run), policy, config)
     policy_traces = {}
     for setting, episodes in shown.items():
         adaptive, tasks = adaptive_of(traces[setting]), held_out_tasks(config, game, setting)

@@ -31,14 +31,14 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     training = Training(config, tracked.folder)
     snapshots = Snapshots(tracked.folder / SNAPSHOTS_NAME, config.tracking.n_snapshots)
     training.resume(snapshots)
-    last_s = time.monotonic()
+    last_snapshot_s = time.monotonic()
     with ProgressLine("train", training.n_total, n_done=training.n_done) as progress, DeferredInterrupt() as interrupt:
         while training.n_done < training.n_total:
-            row = training.iterate()
+            row = training.iterate()  # select the task distribution, collect, estimate advantages, update
             if training.not_finite():
                 _stop_at_last_good(config, tracked, training)
             progress.advance(training.curve.text(row))
-            is_due = time.monotonic() - last_s >= config.tracking.snapshot_period_s
+            is_due = time.monotonic() - last_snapshot_s >= config.tracking.snapshot_period_s
             with training.curve.tracking():
                 tracked.log_metrics(training.curve.scalars(row), step=row["decisions"])
                 if training.is_at_stage_end:
@@ -46,19 +46,19 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
                 if is_due or interrupt():
                     tracked.sync()  # decisions before the snapshot are not logged again
                     training.save_to(snapshots)
-                    last_s = time.monotonic()
+                    last_snapshot_s = time.monotonic()
             interrupt.raise_if_requested()
     tracked.update_metrics_json({"train": training.curve.summary()})
     snapshots.remove()
 
 
 def _stop_at_last_good(config: "RunConfig", run: "TrackedRun", training: Training) -> NoReturn:
-    """Save the policy of before this iteration, the last finite one, and stop with a UserError."""
-    wrong, path = training.not_finite()[0], run.folder / CHECKPOINT_NAME
+    """Keep the policy from before the diverged iteration, and raise UserError."""
+    name, path = training.not_finite()[0], run.folder / CHECKPOINT_NAME
     training.policy.load_state_dict(training.weights_before)
     save_policy(path, training.policy, config, (training.n_done - 1) * training.curve.n_per_iteration)
     raise UserError(
         f"algorithm={config.algorithm.kind} with these values of algorithm and reward makes "
-        f"training diverge: {wrong} is not finite after iteration {training.n_done} of {training.n_total}; the "
+        f"training diverge: {name} is not finite after iteration {training.n_done} of {training.n_total}; the "
         f"policy before it is kept in {path}"
     )

@@ -1,11 +1,11 @@
-"""Calling a batched function on chunks of worlds of one size.
+"""Calls of a batched function on chunks of worlds of one size.
 
-A compiled function is compiled for one shape; in chunks it serves any number of worlds with one compilation, its
-intermediate tensors stay in the cache, memory does not grow with the number of worlds, and what a world does cannot
-depend on how many others are computed beside it.
+A compiled function is compiled for one shape. In chunks it serves any number of worlds with one compilation, its
+intermediate tensors stay in the cache, memory does not grow with the number of worlds, and the result of a world does
+not depend on the number of worlds beside it.
 
-A world has dozens of tensors, and to hand over each of them costs as much as to compute with them. So they travel as
-columns of one table per dtype; a chunk is some of the rows.
+A world has dozens of tensors, and passing each of them costs as much as computing with them. So they are passed as
+columns of one table per dtype. A chunk is a range of rows.
 """
 
 import math
@@ -18,11 +18,11 @@ from torch import Tensor
 from negopipe.tensors.tree import map_tensors, tensors
 
 Tables = tuple[Tensor, ...]
-"""[E, columns] each, one per dtype."""
+"""Tensors [E, columns], one per dtype."""
 
 
 class _Columns(NamedTuple):
-    """Where a tensor stands: the index of its table, the first column and the one after the last; its shape."""
+    """Place of a tensor: index of its table, first column and one past the last column; shape without E."""
 
     table: int
     first: int
@@ -31,7 +31,7 @@ class _Columns(NamedTuple):
 
 
 class Layout:
-    """How the tensors of `example`, all [E, ...], stand in tables: a tensor, tensor dataclass or tuple of such."""
+    """Layout in tables of the tensors of `example`, all [E, ...]: a tensor, tensor dataclass or tuple of such."""
 
     def __init__(self, example: Any) -> None:
         leaves = tensors(example)
@@ -46,25 +46,25 @@ class Layout:
             self._columns.append(_Columns(table, first, n_columns[table], shape))
 
     def pack(self, tree: Any) -> Tables:
-        """The tensors of `tree`, which looks like the example but for E."""
+        """Tables of the tensors of `tree`, which has the structure of the example and any E."""
         parts: list[list[Tensor]] = [[] for _ in self._dtypes]
         for leaf, at in zip(tensors(tree), self._columns, strict=True):
             parts[at.table].append(leaf.reshape(len(leaf), at.last - at.first))
         return tuple(columns[0] if len(columns) == 1 else torch.cat(columns, dim=1) for columns in parts)
 
     def unpack(self, tables: Tables) -> Any:
-        """The tree again; its tensors are views."""
+        """The tree of some tables; its tensors are views."""
         n = len(tables[0])
         leaves = iter([tables[at.table][:, at.first : at.last].reshape(n, *at.shape) for at in self._columns])
         return map_tensors(lambda _: next(leaves), self._empty)
 
 
 class ChunkedFunction:
-    """`fn`, called on `size` worlds at a time.
+    """Function `fn`, called on `size` worlds at a time.
 
     fn: maps tensors, tensor dataclasses or tuples of them to such; axis 0 of every tensor is the worlds
-    compiler: None = `fn` is called as it is. Else what compiles a function of tables; its last chunk is filled up
-        with copies of its last world, so that all chunks have one shape
+    compiler: compiles a function of tables; the last chunk is then padded with copies of its last world, so that all
+        chunks have one shape. None = `fn` is not compiled
     """
 
     def __init__(self, fn: Callable[..., Any], size: int, compiler: Callable[[Callable], Callable] | None) -> None:
@@ -76,20 +76,20 @@ class ChunkedFunction:
         signature = tuple((leaf.dtype, leaf.shape[1:]) for leaf in leaves)
         if signature not in self._on_tables:
             self._on_tables[signature] = self._prepare(args)
-        taken, given, fn = self._on_tables[signature]
-        tables, n_worlds = taken.pack(args), len(leaves[0])
+        arguments, result, fn = self._on_tables[signature]
+        tables, n_worlds = arguments.pack(args), len(leaves[0])
         pieces = [fn(*self._rows(tables, start)) for start in range(0, n_worlds, self.size)]
-        return given.unpack(tuple(_joined(parts, n_worlds) for parts in zip(*pieces, strict=True)))
+        return result.unpack(tuple(_joined(parts, n_worlds) for parts in zip(*pieces, strict=True)))
 
     def _prepare(self, args: Any) -> tuple[Layout, Layout, Callable[..., Tables]]:
-        """Layouts of what `fn` takes and gives, found by calling it once, and `fn` from tables to tables."""
-        taken = Layout(args)
-        given = Layout(self.fn(*map_tensors(lambda leaf: leaf[:1], args)))
+        """Layouts of the arguments and of the result, found by a call for one world, and `fn` from tables to tables."""
+        arguments = Layout(args)
+        result = Layout(self.fn(*map_tensors(lambda leaf: leaf[:1], args)))
 
         def on_tables(*tables: Tensor) -> Tables:
-            return given.pack(self.fn(*taken.unpack(tables)))
+            return result.pack(self.fn(*arguments.unpack(tables)))
 
-        return taken, given, self.compiler(on_tables) if self.compiler else on_tables
+        return arguments, result, self.compiler(on_tables) if self.compiler else on_tables
 
     def _rows(self, tables: Tables, start: int) -> Tables:
         n_missing = start + self.size - len(tables[0])

@@ -1,13 +1,13 @@
-"""Telling a compiler what to keep."""
+"""Values that a compiler must store."""
 
 import torch
 from torch import Tensor
 
 
 def materialize(*values: Tensor) -> tuple[Tensor, ...]:
-    """The same values, computed once: a compiler would work them out anew in every loop that reads them.
+    """The same values, computed once; a compiler would otherwise compute them anew in every loop that reads them.
 
-    It always stores what comes out of a matrix product, and a product with the identity changes nothing.
+    A compiler always stores the result of a matrix product, and a product with the identity changes nothing.
 
     values: float32 and finite, all of one shape
     """

@@ -1,4 +1,4 @@
-"""Random numbers that are functions of a key: the same for the same task and time, whatever is computed beside it."""
+"""Random numbers as functions of a key: the same for the same task and time, whatever is computed beside them."""
 
 import math
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def mix(number: Tensor) -> Tensor:
-    """A hash of int64 numbers >= 0 into [0, 2^32): neighbours come out unlike; one to one below 2^32.
+    """Hash of int64 numbers >= 0 into [0, 2^32), one to one below 2^32; neighbours have unlike hashes.
 
     Two rounds of xor-shift and multiply. Factors are below 2^31, so that no product exceeds 63 bits.
     """
@@ -19,7 +19,7 @@ def mix(number: Tensor) -> Tensor:
 
 
 def uniform(key: Tensor, channel: int) -> Tensor:
-    """Hashed numbers in (0, 1), float32, with the shape of `key`; channels are independent."""
+    """Uniform numbers in (0, 1), float32, with the shape of `key`; channels are independent."""
     return ((mix(key + channel) >> 9) + 0.5) * 2.0**-23
 
 

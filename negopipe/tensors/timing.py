@@ -1,4 +1,4 @@
-"""Timing of calls, for choices and for the benchmark."""
+"""Timing of calls."""
 
 import time
 from collections.abc import Callable
@@ -8,7 +8,7 @@ import torch
 
 
 def block_seconds(call: Callable[[], Any], n_calls: int, device: torch.device) -> float:
-    """Time of `n_calls` calls, until the device has finished them, s."""
+    """Duration of `n_calls` calls, until the device has finished them, s."""
     _finish(device)
     start_s = time.perf_counter()
     for _ in range(n_calls):

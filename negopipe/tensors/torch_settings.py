@@ -1,7 +1,7 @@
-"""torch's settings belong to the process, not to a package: threads, default dtype and device, autograd, precision.
+"""torch's settings of the process: threads, default dtype and device, autograd, precision.
 
-What is set here is set for as long as a call lasts. Other threads of the process see some of it meanwhile: the default
-dtype and the precision.
+They are set for the duration of a call and restored afterwards. Other threads of the process see two of them meanwhile:
+the default dtype and the precision.
 """
 
 from collections.abc import Iterator
@@ -12,11 +12,11 @@ import torch
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One thread of torch, then as many as before. For what simulates without a network.
+    """One thread of torch, for simulation without a network; then as many as before.
 
-    Its tensors are too small to gain from more threads, and on a machine whose cores others use as well, threads that
+    The tensors of a simulation are too small to gain from more threads. On a machine with shared cores, threads that
     wait for each other made it six times slower. A forked process has none of its parent's threads and would wait for
-    them for ever; with one thread torch needs no other.
+    them for ever.
     """
     n_threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -28,11 +28,11 @@ def one_thread() -> Iterator[None]:
 
 @contextmanager
 def own_settings() -> Iterator[None]:
-    """The settings that the simulator is made for, whatever the process has set; then the process's own again.
+    """Settings of the simulator, whatever the process has set; then those of the process again.
 
-    One thread, float32 and the CPU where a tensor is made without saying, exact float32 products, neither autocast nor
-    gradients. Tensors of inference mode could not be changed outside of it, so it is off as well. Modes of
-    torch's functions, among them the default device, do not reach inside.
+    They are one thread, float32 and the CPU as defaults of new tensors, exact float32 products, no autocast and no
+    gradients. Inference mode is off, since its tensors could not be changed outside of it. Modes of torch's functions,
+    among them the default device, have no effect inside.
     """
     product = torch.backends.mkldnn.matmul  # type: ignore[attr-defined]
     dtype, precision = torch.get_default_dtype(), product.fp32_precision

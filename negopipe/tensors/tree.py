@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def map_tensors(fn: Callable[..., Tensor], *trees: T) -> T:
-    """Apply `fn` to the corresponding tensors of equal trees: tensors, tuples and (nested) tensor dataclasses."""
+    """Tree of `fn` applied to the corresponding tensors of equal trees."""
     first = trees[0]
     if isinstance(first, Tensor):
         return fn(*trees)  # type: ignore[return-value]
@@ -25,7 +25,7 @@ def map_tensors(fn: Callable[..., Tensor], *trees: T) -> T:
 
 
 def named_tensors(tree: Any, prefix: str = "") -> dict[str, Tensor]:
-    """All tensors of a tensor dataclass by their path, `vehicles/speed`, to be written to a file."""
+    """All tensors of a tensor dataclass by their path, such as `vehicles/speed`."""
     if isinstance(tree, Tensor):
         return {prefix: tree}
     named: dict[str, Tensor] = {}
@@ -35,13 +35,13 @@ def named_tensors(tree: Any, prefix: str = "") -> dict[str, Tensor]:
 
 
 def with_tensors(example: T, named: Mapping[str, Tensor]) -> T:
-    """A tree like `example` of the tensors that `named_tensors` gave, on the example's device."""
+    """Tree with the structure and the device of `example`, of tensors by their path; the inverse of `named_tensors`."""
     values = iter([named[name].to(tensor.device) for name, tensor in named_tensors(example).items()])
     return map_tensors(lambda _: next(values), example)
 
 
 def tensors(tree: Any) -> list[Tensor]:
-    """All tensors of a tree, in the order in which `map_tensors` meets them."""
+    """All tensors of a tree, in the order of `map_tensors`."""
     if isinstance(tree, Tensor):
         return [tree]
     branches = tree if isinstance(tree, tuple) else [getattr(tree, field.name) for field in fields(tree)]

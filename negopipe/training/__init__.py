@@ -1,1 +1,1 @@
-"""The training loop, its record, demonstrations, and what of it can be used again."""
+"""Training: Algorithm 1, the learning curve, demonstrations, reuse of finished trainings."""

@@ -1,7 +1,7 @@
-"""What a training is shown: for tasks of its own the best horizons that a search finds, knowing everything.
+"""Search for demonstrations: the best horizons for tasks of the training, found with full knowledge of the tasks.
 
-The tasks are drawn as those of the training are, from a stream of their own, so no held-out task is among them. The
-policy sees of a demonstration what it sees of its own drives, the grids, and nothing of what the search knew.
+The tasks are drawn like those of the training, from a stream of their own, so no held-out task is among them. The
+policy sees only the grids of a demonstration, as in its own episodes, and not the knowledge of the search.
 """
 
 import logging
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from negopipe.evaluation.horizon_text import from_text, to_text
-from negopipe.game.game import Game, joint_horizon
+from negopipe.game.game import Game
 from negopipe.learning.demonstrations import Demonstrations, DemonstrationsConfig
 from negopipe.runtime.progress import ProgressLine
 from negopipe.search.oracle import Rollouts, Sequences, best_simple, improve, simplify
@@ -34,9 +34,9 @@ DEMONSTRATIONS = CsvKind("the stage `train`", {"family": str, "reward": float, "
 
 
 def demonstrations(config: "RunConfig", game: Game, folder: Path | None) -> Demonstrations | None:
-    """What the curriculum wants to be shown, None where that is nothing.
+    """Demonstrations of the curriculum; None where it has none.
 
-    folder: of the run, which keeps what is found; None = search anew
+    folder: run folder that keeps the result; None = search anew
     """
     wanted = config.curriculum.demonstrations
     if wanted is None:
@@ -56,7 +56,7 @@ def demonstrations(config: "RunConfig", game: Game, folder: Path | None) -> Demo
 
 
 def demonstrated_tasks(config: "RunConfig", wanted: DemonstrationsConfig, device: torch.device) -> dict[str, Task]:
-    """Of each family of the last stage, by its name."""
+    """Demonstrated tasks of each family of the last stage, by its name."""
     scenario, families = config.curriculum.scenario(config.scenario), config.curriculum.stages[-1].families
     streams = {name: generator(config.seed, f"demonstrated tasks {name}", device) for name in families}
     return {
@@ -67,7 +67,7 @@ def demonstrated_tasks(config: "RunConfig", wanted: DemonstrationsConfig, device
 
 @one_thread()
 def _search(config: "RunConfig", wanted: DemonstrationsConfig, game: Game, tasks: dict[str, Task]) -> pd.DataFrame:
-    """A row per task: family, reward and horizons."""
+    """Table of the search result, a row per task: family, reward and horizons."""
     rollouts, found = Rollouts(game, config.policy.horizons_s, config.reward), []
     with ProgressLine("demonstrate", len(tasks) * 2 * wanted.rounds) as progress:
         for name, drawn in tasks.items():
@@ -87,7 +87,7 @@ def _table(name: str, best: Sequences, horizons_s: tuple[float, ...]) -> pd.Data
 
 
 def _replay(config: "RunConfig", game: Game, tasks: Task, texts: list[str]) -> tuple[Tensor, Tensor]:
-    """Grids [D, F, H, W] uint8 and actions [D] int64 of all decisions of N drives."""
+    """Grids [D, F, H, W] uint8 and actions [D] int64 of all decisions in N episodes."""
     horizons_s, device = list(config.policy.horizons_s), tasks.family.device
     chosen = [torch.tensor([horizons_s.index(h) for h in from_text(text).tolist()], device=device) for text in texts]
     horizons, world = torch.tensor(horizons_s, device=device), game.simulator.reset(tasks)
@@ -96,5 +96,5 @@ def _replay(config: "RunConfig", game: Game, tasks: Task, texts: list[str]) -> t
         is_driving = action >= 0
         seen.append(grids[is_driving])
         actions.append(action[is_driving])
-        world, _, grids = game.advance(world, joint_horizon(world, horizons[action]))
+        world, _, grids = game.advance(world, world.horizons(horizons[action]))
     return torch.cat(seen), torch.cat(actions)

@@ -1,4 +1,4 @@
-"""The training's record: a row per iteration, a row per episode."""
+"""The learning curve: a row per iteration and a row per episode of a training."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -16,19 +16,19 @@ from negopipe.tracking.run_folder import HISTORY_NAME, TRAINING_EPISODES_NAME
 from negopipe.tracking.training_files import HISTORY, TRAINING_EPISODES
 
 N_RECENT_EPISODES = 200
-"""Episodes that the success rate and mean return of the learning curves are taken over."""
+"""Number of latest episodes in the success rate, the collision rate and the mean return."""
 
 MEANS_OF_EPISODES = {"success_rate": "is_success", "collision_rate": "is_collision", "return_mean": "return"}
-"""Of a row of the learning curve: NaN until an episode has ended; the episodes' column that each is the mean of."""
+"""Column of the episodes by the column of the learning curve that is its mean; NaN until an episode has ended."""
 
 
 class LearningCurve:
-    """The training's history.
+    """The history of a training.
 
-    rows: one per iteration; success_rate, collision_rate and return_mean are of the latest episodes
-    episodes: name -> [N] float64 on the CPU, of all episodes so far: `decisions` of the training until the end of the
-        iteration in which the episode ended, its undiscounted return, 1 or 0 for is_success and is_collision, and
-        what the environment tells of it (`Rollout.final_info`)
+    rows: one per iteration; success_rate, collision_rate and return_mean are those of the latest episodes
+    episodes: name -> [N] float64 on the CPU, of all episodes so far: `decisions` of the training up to the end of the
+        iteration in which the episode ended, the undiscounted `return`, 1 or 0 for `is_success` and `is_collision`,
+        and the columns of `Rollout.final_info`
     """
 
     def __init__(self, n_decisions_per_iteration: int) -> None:
@@ -72,11 +72,11 @@ class LearningCurve:
         self.episodes = {name: torch.cat([self.episodes.get(name, values[:0]), values]) for name, values in new.items()}
 
     def state_dict(self) -> dict[str, Any]:
-        """All but the episodes, as JSON can say it."""
+        """State without the episodes, as JSON values."""
         return {"rows": self.rows, **self._times()}
 
     def load_state_dict(self, state: dict[str, Any], episodes: Mapping[str, Tensor]) -> None:
-        """Go on where `state_dict` was taken; the time between does not count."""
+        """Restore what `state_dict` returned; the time in between does not count."""
         self.rows, self.episodes = state["rows"], dict(episodes)
         self._last_s = time.monotonic()
         self._started_s = self._last_s - state["wall_s"]
@@ -84,24 +84,24 @@ class LearningCurve:
 
     @contextmanager
     def tracking(self) -> Iterator[None]:
-        """What is done meanwhile is not training but keeping a record of it."""
+        """Context whose duration counts as tracking, not as training."""
         started_s = time.monotonic()
         yield
         self._tracking_s += time.monotonic() - started_s
 
     def scalars(self, row: dict) -> dict[str, float]:
-        """The row's numbers under their names in the dashboard."""
+        """Metrics of a row by their names in the dashboard."""
         return {f"train/{k}": v for k, v in row.items() if isinstance(v, float) and v == v}
 
     def text(self, row: dict) -> str:
-        """How it goes, for the progress line."""
-        went = "no episode over yet"
+        """Text of the progress line after a row."""
+        outcome = "no episode over yet"
         if row["success_rate"] == row["success_rate"]:
-            went = f"success {row['success_rate']:4.0%} return {row['return_mean']:5.1f}"
-        return f"{row['stage']} {went} {row['decisions_per_s']:5.0f} decisions/s"
+            outcome = f"success {row['success_rate']:4.0%} return {row['return_mean']:5.1f}"
+        return f"{row['stage']} {outcome} {row['decisions_per_s']:5.0f} decisions/s"
 
     def summary(self) -> dict[str, float]:
-        """The `train` part of metrics.json; tracking_share is that of the time, store and snapshots together."""
+        """The `train` part of metrics.json; tracking_share is the share of the time spent on store and snapshots."""
         decisions, times = self.rows[-1]["decisions"], self._times()
         return {
             "decisions": decisions,
@@ -114,7 +114,7 @@ class LearningCurve:
         return {"wall_s": time.monotonic() - self._started_s, "tracking_s": self._tracking_s}
 
     def write(self, folder: Path) -> None:
-        """history.csv, the iterations, and training_episodes.csv."""
+        """Write history.csv, a row per iteration, and training_episodes.csv, a row per episode."""
         write_csv(folder / HISTORY_NAME, pd.DataFrame(self.rows), HISTORY)
         table = pd.DataFrame({name: values.numpy() for name, values in self.episodes.items()})
         flags = {name: "int64" for name in ("decisions", "is_success", "is_collision")}

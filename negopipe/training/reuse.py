@@ -1,4 +1,4 @@
-"""Taking over a training that another run of the same outputs folder has finished."""
+"""Reuse of a training that another run in the same outputs folder has finished."""
 
 import logging
 import math
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from negopipe.tracking.store import TrackedRun
 
 PRODUCTS = (CHECKPOINT_NAME, HISTORY_NAME, TRAINING_EPISODES_NAME)
-"""Files that a finished training leaves, beside its part of metrics.json."""
+"""Files of a finished training, beside its part of metrics.json."""
 
 log = logging.getLogger("negopipe")
 
 
 def take_over_training(config: "RunConfig", run: "TrackedRun", key: str) -> bool:
-    """Copy what a training with this `key` left in another run folder; False where there is none that counts."""
+    """Copy the files of a training with this `key` from another run folder; False where there is none."""
     for path in sorted(Path(config.outputs).absolute().glob(f"*/*/{RECORD_NAME}")):
         folder = path.parent
         record = read_record(folder) if folder != run.folder else None

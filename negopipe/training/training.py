@@ -1,58 +1,51 @@
 """Algorithm 1, one iteration at a time."""
 
 import logging
-from typing import TYPE_CHECKING
-
-from negopipe.runtime.build import save_policy
-from negopipe.tracking.checkpoint import CHECKPOINT_NAME
-from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME, HISTORY_NAME, TRAINING_EPISODES_NAME
-from negopipe.tracking.snapshots import Snapshots
-
-if TYPE_CHECKING:
-    from negopipe.config.root import RunConfig
-    from negopipe.tracking.store import TrackedRun
-
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torch import Tensor, nn
 
-from negopipe.game.curriculum import Curriculum
+from negopipe.game.curriculum import Curriculum, CurriculumStageConfig
 from negopipe.game.environment import NegotiationEnv
 from negopipe.learning.learner import Learner
-from negopipe.learning.rollout import RunningEpisodes, collect
-from negopipe.runtime.build import build, device_of, load_policy
+from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
+from negopipe.runtime.build import build, device_of, load_weights, save_policy
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.tree import named_tensors, with_tensors
-from negopipe.tracking.checkpoint import find_checkpoint
+from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
+from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME, HISTORY_NAME, TRAINING_EPISODES_NAME
+from negopipe.tracking.snapshots import Snapshots
 from negopipe.training.demonstration_search import demonstrations
 from negopipe.training.learning_curve import MEANS_OF_EPISODES, LearningCurve
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
+    from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")
 
 
 class Training:
-    """Algorithm 1, one iteration at a time; its state can be taken and put back between iterations.
+    """Algorithm 1, one iteration at a time; its state can be saved and restored between iterations.
 
-    folder: where demonstrations are kept, so that nobody has to search for them twice
+    folder: run folder that keeps the demonstrations; None = search for them anew
     n_total, n_done: iterations of all stages together
-    is_at_stage_end: the iteration just done was the last of its stage
+    is_at_stage_end: whether the latest iteration was the last of its stage
+    weights_before: the policy's weights before the latest iteration
     """
 
     def __init__(self, config: "RunConfig", folder: Path | None = None) -> None:
         device, algorithm = device_of(config), config.algorithm
-        self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)  # from here on time counts
+        self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)  # its clock starts now
         game, self.policy = build(config)
         if config.checkpoint is not None:
-            load_policy(find_checkpoint(config.checkpoint, config), self.policy, config)
-        shown = demonstrations(config, game, folder)
-        self.learner = Learner(self.policy, algorithm, generator(config.seed, "updates", device), shown)
+            load_weights(find_checkpoint(config.checkpoint, config), self.policy, config)
+        demonstrated = demonstrations(config, game, folder)
+        self.learner = Learner(self.policy, algorithm, generator(config.seed, "updates", device), demonstrated)
         tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
         self.n_steps = algorithm.n_steps
         self.curriculum, self._reward = Curriculum(config.curriculum), config.reward
@@ -73,26 +66,35 @@ class Training:
         return len(self.curve)
 
     def iterate(self) -> dict:
-        """Collect, update; returns the iteration's row of the learning curve."""
-        stage = self.curriculum.stage  # (K, D) of Algorithm 1
-        self.env.sampler = self._samplers[self.curriculum.index]  # T ~ D, a new one per episode
-        self.env.reward_config = self.curriculum.config.reward(stage, self._reward)
+        """One iteration of Algorithm 1; returns its row of the learning curve."""
         self.weights_before = _copy(self.policy)
+        stage = self._select_task_distribution()
         rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
-        metrics = self.learner.update(rollout, self.n_done / self.n_total)
+        metrics = self.learner.update(rollout, self.n_done / self.n_total)  # advantages, then the algorithm's updates
+        return self._record(stage, rollout, metrics)
+
+    def _select_task_distribution(self) -> CurriculumStageConfig:
+        """The current stage (K, D), from whose D every new episode draws its task."""
+        stage = self.curriculum.stage
+        self.env.sampler = self._samplers[self.curriculum.index]
+        self.env.reward_config = self.curriculum.config.reward(stage, self._reward)
+        return stage
+
+    def _record(self, stage: CurriculumStageConfig, rollout: Rollout, metrics: dict[str, float]) -> dict:
+        """Add the iteration to the learning curve and count it in its stage; returns its row of the curve."""
         row = self.curve.add(stage.name, rollout, metrics)
-        is_over = self.curriculum.count(rollout.is_success[rollout.is_done].tolist())
+        is_over = self.curriculum.finish_iteration(rollout.is_success[rollout.is_done].tolist())
         self.is_at_stage_end = is_over or self.n_done == self.n_total
         return row
 
     def not_finite(self) -> list[str]:
-        """Measures of the last update and weights that have become NaN or infinite."""
+        """Names of the metrics of the last update and of the weights that are NaN or infinite."""
         measures = [(k, v) for k, v in self.curve.rows[-1].items() if k not in MEANS_OF_EPISODES]
-        wrong = [name for name, value in measures if isinstance(value, float) and not math.isfinite(value)]
-        return wrong + [name for name, weight in self.policy.state_dict().items() if not weight.isfinite().all()]
+        names = [name for name, value in measures if isinstance(value, float) and not math.isfinite(value)]
+        return names + [name for name, weight in self.policy.state_dict().items() if not weight.isfinite().all()]
 
     def save_to(self, snapshots: Snapshots) -> None:
-        """Write down all that the next iteration depends on."""
+        """Save the state on which the next iteration depends."""
         state = (
             add_prefix("policy", self.policy.state_dict())
             | add_prefix("learner", self.learner.state_dict())
@@ -105,7 +107,7 @@ class Training:
         snapshots.save(self.n_done, state, progress)
 
     def resume(self, snapshots: Snapshots) -> None:
-        """Put the newest snapshot back, if there is one."""
+        """Restore the newest snapshot, if there is one."""
         newest = snapshots.newest()
         if newest is None:
             return
@@ -117,15 +119,11 @@ class Training:
         self.actions.set_state(state["actions"])
         self.curve.load_state_dict(progress["curve"], strip_prefix("episodes", state))
         self.curriculum.load_state_dict(progress["curriculum"])
-        log.info(f"train      goes on after {self.n_done} of {self.n_total} iterations")
-
-
-def _copy(policy: nn.Module) -> dict[str, Tensor]:
-    return {name: weight.clone() for name, weight in policy.state_dict().items()}
+        log.info(f"train      resuming after iteration {self.n_done} of {self.n_total}")
 
 
 def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> None:
-    """Keep what a finished stage has reached."""
+    """Write the checkpoint, the learning curve and the training episodes at the end of a stage."""
     curve = training.curve
     row = curve.rows[-1]
     curve.write(run.folder)
@@ -135,3 +133,8 @@ def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> No
     save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, row["decisions"])
     is_final = training.n_done == training.n_total
     run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row), is_final)
+
+
+def _copy(policy: nn.Module) -> dict[str, Tensor]:
+    """Copies of the weights, by name."""
+    return {name: weight.clone() for name, weight in policy.state_dict().items()}

@@ -18,7 +18,7 @@ from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.game.game import Game, build_game, joint_horizon
+from negopipe.game.game import Game, build_game
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import Task
 
@@ -269,7 +269,7 @@ def test_the_belief_finds_the_style_from_the_motion(
     world = game.simulator.reset(task_with(config, 17.5, style_s))
     n = {2.0: 15, 4.0: 10}[style_s]  # then its prediction has met the ego for some steps
     for _ in range(n):
-        world, _ = game.drive(world, joint_horizon(world, torch.zeros(1)))
+        world, _ = game.drive(world, world.horizons(0.0))
     perception = game.perceive(world).of(0)
     chooser = level_k_at(game, baselines)
     belief = chooser.belief(perception, n)[0]

@@ -15,7 +15,7 @@ def stages_of(curriculum: Curriculum, successes: list[bool]) -> str:
     names = []
     for _ in range(curriculum.n_total):
         names.append(curriculum.stage.name)
-        curriculum.count(successes)
+        curriculum.finish_iteration(successes)
     return "".join(names)
 
 
@@ -41,7 +41,7 @@ def test_a_mastered_stage_ends_early(successes: list[bool], expected: str) -> No
 
 def test_says_when_the_stage_changes() -> None:
     curriculum = Curriculum(CurriculumConfig(STAGES, None, STARTS, {}, None))
-    assert [curriculum.count([]) for _ in range(6)] == [False, True, False, False, True, False]
+    assert [curriculum.finish_iteration([]) for _ in range(6)] == [False, True, False, False, True, False]
 
 
 def test_goes_on_where_it_stopped() -> None:
@@ -49,11 +49,11 @@ def test_goes_on_where_it_stopped() -> None:
     for n_before in range(6):
         whole, first, second = (Curriculum(config) for _ in range(3))
         for _ in range(n_before):
-            whole.count([True, True])
-            first.count([True, True])
+            whole.finish_iteration([True, True])
+            first.finish_iteration([True, True])
         second.load_state_dict(first.state_dict())
         for _ in range(6):
-            assert whole.count([True]) == second.count([True])
+            assert whole.finish_iteration([True]) == second.finish_iteration([True])
             assert whole.stage == second.stage
 
 

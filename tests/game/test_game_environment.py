@@ -9,7 +9,7 @@ from games import draw_tasks
 from negopipe.agents.driver import HorizonDriver, drive_together, fixed_horizon, own_style
 from negopipe.config.root import RunConfig
 from negopipe.game.environment import NegotiationEnv
-from negopipe.game.game import Game, build_game, joint_horizon
+from negopipe.game.game import Game, build_game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.scenario import TaskSampler
@@ -73,7 +73,7 @@ def test_the_joint_horizon_is_the_choice_beside_the_styles_and_leaves_the_world_
 ) -> None:
     world = make(config, game, 2).world
     style = world.style_horizon[:, EGO + 1 :].clone()
-    horizon = joint_horizon(world, torch.tensor([2.0, 6.0]))
+    horizon = world.horizons(torch.tensor([2.0, 6.0]))
     assert horizon[:, EGO].tolist() == [2.0, 6.0]
     assert torch.equal(horizon[:, EGO + 1 :], style)
     assert world.style_horizon[:, EGO].isnan().all()

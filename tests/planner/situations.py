@@ -49,10 +49,10 @@ def draw_situations(road: Road, n: int, seed: int) -> Situation:
 
 def _somewhere(road: Road, s: Tensor, direction: Tensor, between: Callable[[float, float], Tensor]) -> RouteState:
     """Beside the route by up to 1 m, turned from it by up to 25 degrees, at any speed and acceleration."""
-    d, slope, _ = road.route_offset(s, direction)
+    d, d_prime, _ = road.route_offset(s, direction)
     turned = math.tan(math.radians(25))
     return RouteState(
-        s, between(0, 6), between(-3, 2), d + between(-1, 1), slope + between(-turned, turned), between(-0.1, 0.1)
+        s, between(0, 6), between(-3, 2), d + between(-1, 1), d_prime + between(-turned, turned), between(-0.1, 0.1)
     )
 
 

@@ -58,9 +58,9 @@ def directly(planner: FrenetPlanner, x: Situation, travelled: Tensor, coefficien
     """[L, C, T, N] m: depth of every footprint in the grown box of the other, both in the world."""
     road, size, clearance = planner.road, planner.vehicle, planner.config.clearance
     predicted = predict(planner.config.prediction, road, x.other, x.direction, planner.times)
-    d, slope, _ = planner.lateral.follow(coefficients, x.route.s, x.direction, travelled)
+    d, d_prime, _ = planner.lateral.follow(coefficients, x.route.s, x.direction, travelled)
     s = x.route.s + travelled
-    tan = slope / (1 - road.curvature(s, x.direction)[0] * d)
+    tan = d_prime / (1 - road.curvature(s, x.direction)[0] * d)
     own = world_boxes(road, s, x.direction, d, tan, size.length_m, size.width_m)
     length = size.length_m + 2 * clearance.ahead_m
     seen = (field[0] for field in predicted)
@@ -91,7 +91,7 @@ def test_of_steep_paths_few_conflicts_are_missed(checked: Checked) -> None:
 
 
 def test_hardly_ever_needlessly_careful(checked: Checked) -> None:
-    # where a stretch begins and ends is known to the spacing of the places, of 1.2 m at most
+    # where a blocked interval begins and ends is known to the spacing of the places, of 1.2 m at most
     is_careful = checked.is_forward & checked.is_conflict & (checked.depth <= 0)
     assert float(is_careful.sum() / checked.is_forward.sum()) < 0.006
     assert float(checked.depth[is_careful].min()) > -1.2 * 1.1

@@ -29,20 +29,20 @@ class Places(NamedTuple):
     s: Tensor
     direction: Tensor
     d: Tensor
-    slope: Tensor
+    d_prime: Tensor
 
 
 def draw_places(n: int, corridor_m: float) -> Places:
     generator = torch.Generator().manual_seed(1)
     low, high = torch.tensor([[-12.0, -1.0, -2.6, -0.6], [corridor_m + 12, 1.0, 2.6, 0.6]])
-    s, sign, d, slope = (low + (high - low) * torch.rand(n, 4, generator=generator)).T
-    return Places(s, sign.sign(), d, slope)
+    s, sign, d, d_prime = (low + (high - low) * torch.rand(n, 4, generator=generator)).T
+    return Places(s, sign.sign(), d, d_prime)
 
 
 def touches(roadside: Roadside, at: Places, grown_m: float) -> Tensor:
     """[N] bool: a footprint with its clearance and `grown_m` on every side meets a parked car or a kerb."""
     road = roadside.road
-    tan = at.slope / (1 - road.curvature(at.s, at.direction)[0] * at.d)
+    tan = at.d_prime / (1 - road.curvature(at.s, at.direction)[0] * at.d)
     length, width = (2 * (float(half) + grown_m) for half in (roadside.half_length, roadside.half_width))
     boxes = world_boxes(road, at.s, at.direction, at.d, tan, length, width)
     columns = boxes._replace(**{name: getattr(boxes, name)[:, None] for name in ("x", "y", "cos", "sin")})
@@ -63,7 +63,7 @@ def test_excess_tells_who_touches_the_roadside(scenario: str, n: int, optimistic
     config = compose_config([f"scenario={scenario}"])
     roadside = Roadside(Road(config.scenario.road), config.scenario.vehicle, torch.tensor([0.2]))
     at = draw_places(n, config.scenario.road.corridor_length_m)
-    excess = roadside.excess(at.s[None], at.direction, at.d[None, None], at.slope[None, None])[0, 0]
+    excess = roadside.excess(at.s[None], at.direction, at.d[None, None], at.d_prime[None, None])[0, 0]
     is_refused = excess > 0
     assert 0.3 < float(is_refused.float().mean()) < 0.9
     assert is_refused[touches(roadside, at, -optimistic_m - 1e-4)].all()

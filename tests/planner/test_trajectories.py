@@ -71,8 +71,8 @@ def planned_from_anywhere(game: Game, scenario: str, n_batches: int = 12, n: int
     seen = game.perceive(game.simulator.reset(draw_tasks(config, n))).of(0)
     for seed in range(n_batches):
         x = draw_situations(road, n, seed)
-        d, slope, _ = road.route_offset(x.route.s, x.direction)
-        nearer = x.route._replace(d=d + 0.4 * (x.route.d - d), d_prime=slope + 0.3 * (x.route.d_prime - slope))
+        d, d_prime, _ = road.route_offset(x.route.s, x.direction)
+        nearer = x.route._replace(d=d + 0.4 * (x.route.d - d), d_prime=d_prime + 0.3 * (x.route.d_prime - d_prime))
         own = map_tensors(lambda field: field[:, None], road.to_world(nearer, x.direction))
         others = map_tensors(lambda field: field[0][:, None, None], x.other)
         direction = x.direction[:, None]
@@ -119,7 +119,7 @@ def test_nothing_brakes_harder_than_full_braking(driving: Driving) -> None:
     x = driving.everything
     full = driving.limits.full_braking_mps2
     gained = (x.after.speed - x.before.speed)[~x.is_planned] / DT_S
-    assert float(gained.min()) >= -full - 1.0  # the path's slope changes under way: up to 12 % of the metres per metre
+    assert float(gained.min()) >= -full - 1.0  # the ratio of path to road changes under way, by up to 12 %
     assert float(gained.max()) <= 1.0
 
 
@@ -176,9 +176,9 @@ def test_position_follows_speed_and_heading(driving: Driving) -> None:
     sharper = (x.after.curvature - x.before.curvature) * ahead**2 / 12  # by which a clothoid's chord is off
     assert float((across + sharper).abs().max()) < 0.01
     # the path turns with its curvature, which itself bends within a step: k'' of 0.3 /m3 for 1.1 m is 0.03 rad
-    bend = (x.before.curvature + x.after.curvature) / 2 * ahead
-    assert float((turned - bend)[x.is_planned].abs().max()) < 0.04
-    assert float((turned - bend)[x.is_planned].abs().mean()) < 0.002
+    by_curvature = (x.before.curvature + x.after.curvature) / 2 * ahead
+    assert float((turned - by_curvature)[x.is_planned].abs().max()) < 0.04
+    assert float((turned - by_curvature)[x.is_planned].abs().mean()) < 0.002
 
 
 def test_candidates_are_consistent_in_time_and_space(driving: Driving) -> None:
@@ -197,9 +197,9 @@ def test_candidates_are_consistent_in_time_and_space(driving: Driving) -> None:
         assert float((change - (rate[:, 1:] + rate[:, :-1]) / 2).abs().max()) < 0.02
     coefficients = planner.lateral.start(x.route, x.direction)
     along = torch.arange(0, 12, 0.01)[:, None].expand(-1, 40)
-    d, slope, bend = planner.lateral.follow(coefficients, x.route.s, x.direction, along)
-    for value, rate in ((d, slope), (slope, bend)):
+    d, d_prime, d_pprime = planner.lateral.follow(coefficients, x.route.s, x.direction, along)
+    for value, rate in ((d, d_prime), (d_prime, d_pprime)):
         change = (value[:, 1:] - value[:, :-1]) / 0.01
         assert float((change - (rate[:, 1:] + rate[:, :-1]) / 2).abs().max()) < 0.02
-    for field, start in zip((d, slope, bend), (x.route.d, x.route.d_prime, x.route.d_pprime), strict=True):
+    for field, start in zip((d, d_prime, d_pprime), (x.route.d, x.route.d_prime, x.route.d_pprime), strict=True):
         torch.testing.assert_close(field[:, 0], start.expand_as(field[:, 0]), atol=1e-5, rtol=1e-5)

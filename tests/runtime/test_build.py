@@ -8,7 +8,7 @@ import torch
 
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.runtime.build import build, game_of, load_policy, save_policy
+from negopipe.runtime.build import build, game_of, load_weights, save_policy
 
 SMALL = ("device=cpu", "compile=off", "policy.encoder_width=16", "policy.head_widths=[8]")
 
@@ -19,13 +19,13 @@ def test_precision_and_memory_format_of_a_checkpoint_do_not_bind(tmp_path: Path)
     save_policy(tmp_path / "weights", made, made_with, 1)
     config = compose_config([*SMALL, "seed=2", "policy.precision=float32", "policy.memory_format=channels_last"])
     _, policy = build(config)
-    load_policy(tmp_path / "weights", policy, config)
+    load_weights(tmp_path / "weights", policy, config)
     assert all(torch.equal(weight, made.state_dict()[name]) for name, weight in policy.state_dict().items())
     convolution = next(layer for layer in policy.modules() if isinstance(layer, torch.nn.Conv2d))
     assert convolution.weight.is_contiguous(memory_format=torch.channels_last)
     wider = replace(config, policy=replace(config.policy, encoder_width=32))
     with pytest.raises(UserError, match=r"^policy\.encoder_width must be 16 as in the checkpoint .* got 32$"):
-        load_policy(tmp_path / "weights", policy, wider)
+        load_weights(tmp_path / "weights", policy, wider)
 
 
 def test_stages_share_the_game_that_their_config_describes() -> None:

@@ -70,8 +70,8 @@ def test_wrap_angle() -> None:
 
 def test_smoothstep_derivatives() -> None:
     x = torch.linspace(-0.2, 1.2, 50, dtype=torch.float64, requires_grad=True)
-    value, slope, bend = smoothstep(x)
+    value, first, second = smoothstep(x)
     (by_autograd,) = torch.autograd.grad(value.sum(), x, create_graph=True)
-    (bend_by_autograd,) = torch.autograd.grad(by_autograd.sum(), x)
-    torch.testing.assert_close(slope, by_autograd)
-    torch.testing.assert_close(bend, bend_by_autograd)
+    (second_by_autograd,) = torch.autograd.grad(by_autograd.sum(), x)
+    torch.testing.assert_close(first, by_autograd)
+    torch.testing.assert_close(second, second_by_autograd)

@@ -50,7 +50,7 @@ def test_round_trip(game: Game) -> None:
 
 
 def test_route_derivatives_are_those_of_the_motion(game: Game) -> None:
-    # drive a circle for a moment: d' and d'' must be the slope and bend of the curve that is really driven
+    # drive a circle for a moment: d' and d'' must be those of the curve that is really driven
     road, speed, curvature = game.simulator.road, 4.0, 0.1
 
     def at(t: float) -> VehicleState:
@@ -65,18 +65,18 @@ def test_route_derivatives_are_those_of_the_motion(game: Game) -> None:
     assert float((after.s - before.s) / 2e-3) == pytest.approx(float(now.s_dot), rel=1e-6)
     assert float((after.s_dot - before.s_dot) / 2e-3) == pytest.approx(float(now.s_ddot), rel=1e-5)
     assert float((after.d - before.d) / (after.s - before.s)) == pytest.approx(float(now.d_prime), rel=1e-5)
-    bend = (after.d_prime - before.d_prime) / (after.s - before.s)
-    assert float(bend) == pytest.approx(float(now.d_pprime), rel=1e-5)
+    d_pprime = (after.d_prime - before.d_prime) / (after.s - before.s)
+    assert float(d_pprime) == pytest.approx(float(now.d_pprime), rel=1e-5)
 
 
 def test_route_is_own_lane_corridor_own_lane(config: RunConfig, game: Game) -> None:
     size = config.scenario.road
     s = torch.tensor([-30.0, 0.0, size.corridor_length_m / 2, size.corridor_length_m, 60.0])
-    d, slope, bend = game.simulator.road.route_offset(s, torch.ones(()))
+    d, d_prime, d_pprime = game.simulator.road.route_offset(s, torch.ones(()))
     lane = -size.lane_offset_m
     torch.testing.assert_close(d, torch.tensor([lane, 0.0, 0.0, 0.0, lane]))
-    assert float(slope.abs().max()) < 1e-6
-    assert float(bend.abs().max()) < 1e-6
+    assert float(d_prime.abs().max()) < 1e-6
+    assert float(d_pprime.abs().max()) < 1e-6
 
 
 def test_parked_cars_leave_the_corridor(config: RunConfig, game: Game) -> None:
@@ -128,9 +128,9 @@ def test_both_directions_drive_through_the_middle_of_the_gap(config: RunConfig, 
     direction = torch.tensor([1.0, -1.0])
     size = road.config
     middle = (-1 if side == "left" else 1) * (size.width_m - size.corridor_gap_m) / 2
-    d, slope, bend = road.route_offset(torch.full((2,), size.corridor_length_m / 3), direction)
+    d, d_prime, d_pprime = road.route_offset(torch.full((2,), size.corridor_length_m / 3), direction)
     assert (direction * d).tolist() == pytest.approx([middle] * 2)
-    assert float(slope.abs().max() + bend.abs().max()) == 0
+    assert float(d_prime.abs().max() + d_pprime.abs().max()) == 0
     d, _, _ = road.route_offset(torch.tensor([-30.0, -30.0]), direction)
     assert d.tolist() == pytest.approx([-size.lane_offset_m] * 2)
 
@@ -141,11 +141,11 @@ def test_route_derivatives(config: RunConfig, side: str) -> None:
     road, step = road_with(config, parked_sides=side), 1e-4
     s = torch.linspace(-20, 35, 551, dtype=torch.float64)[:, None]
     direction = torch.tensor([1.0, -1.0], dtype=torch.float64)
-    (d0, slope0, _), (_, slope, bend), (d1, slope1, _) = (
+    (d0, d_prime0, _), (_, d_prime, d_pprime), (d1, d_prime1, _) = (
         road.route_offset(at, direction) for at in (s - step, s, s + step)
     )
-    torch.testing.assert_close((d1 - d0) / (2 * step), slope.expand_as(d1), atol=1e-5, rtol=0)
-    torch.testing.assert_close((slope1 - slope0) / (2 * step), bend.expand_as(slope1), atol=3e-5, rtol=0)
+    torch.testing.assert_close((d1 - d0) / (2 * step), d_prime.expand_as(d1), atol=1e-5, rtol=0)
+    torch.testing.assert_close((d_prime1 - d_prime0) / (2 * step), d_pprime.expand_as(d_prime1), atol=3e-5, rtol=0)
 
 
 def on_bent_road(road: Road, n: int, dtype: torch.dtype) -> tuple[VehicleState, torch.Tensor]:

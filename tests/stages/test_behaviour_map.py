@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 import pytest
 import torch
+from games import tiny_config
 from tracked import RecordedRun
 
 from negopipe.agents.driver import fixed_horizon
@@ -26,18 +27,15 @@ from negopipe.stages import behaviour_map
 from negopipe.stages.evaluate import held_out_tasks
 
 TINY = (
-    "+experiment=behaviour_map",
     "behaviour_map.n_episodes=2",
     "behaviour_map.horizons_s=[0.0,6.0]",
     "behaviour_map.styles_s=[0.0,6.0]",
     "algorithm.n_worlds=2",
-    "scenario.episode_steps=72",
-    "compile='off'",
 )
 
 
 def tiny(*overrides: str) -> RunConfig:
-    return compose_config(["device=cpu", "n_threads=1", *TINY, *overrides])
+    return tiny_config("behaviour_map", *TINY, *overrides)
 
 
 @pytest.fixture(scope="module")

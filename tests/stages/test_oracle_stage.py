@@ -6,6 +6,7 @@ from typing import Any
 import pandas as pd
 import pytest
 import torch
+from games import tiny_config
 from tracked import RecordedRun
 
 from negopipe.config.root import RunConfig, run_name
@@ -20,18 +21,15 @@ from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 
 TINY = (
-    "+experiment=oracle",
     "oracle.settings=[push,mixture]",
     "oracle.n_episodes=2",
     "oracle.population=3",
     "oracle.rounds=1",
-    "scenario.episode_steps=72",
-    "compile='off'",
 )
 
 
 def tiny(*overrides: str) -> RunConfig:
-    return compose_config(["device=cpu", "n_threads=1", *TINY, *overrides])
+    return tiny_config("oracle", *TINY, *overrides)
 
 
 @pytest.fixture(scope="module")

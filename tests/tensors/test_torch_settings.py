@@ -138,17 +138,18 @@ def state():
         "matplotlib": str(dict.items(matplotlib.rcParams)),
         "python": [os.getcwd(), sys.path[:], sys.getrecursionlimit(), str(sys.excepthook), str(sys.stdout)],
         "resolvers": {name: id(resolver) for name, resolver in BaseContainer._resolvers.items()
-                      if not name.startswith("negopipe.")},
+                      if not name.startswith("negopipe.")},  # names that no other program uses
         "tasks": len(os.listdir("/proc/self/task")) if os.path.isdir("/proc/self/task") else 0,
     }
 
 before = state()
-import negopipe.envs.gymnasium
-env = gymnasium.make("negopipe/NarrowLane-v0")
-envs = gymnasium.make_vec("negopipe/NarrowLane-v0", num_envs=70, vectorization_mode="vector_entry_point")
-env.reset(seed=1), envs.reset(seed=1)
+import negopipe
+env, envs = negopipe.make_env(), negopipe.make_vec_env(70)
+policy = negopipe.load_policy()
+grids, _ = envs.reset(seed=1)
+env.reset(seed=1)
 for _ in range(3):
-    env.step(0), envs.step(np.zeros(70, int))
+    env.step(0), envs.step(policy.act(grids))
 after = state()
 print(json.dumps({part: [before[part], after[part]] for part in before if before[part] != after[part]}))
 """

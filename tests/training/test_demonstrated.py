@@ -11,7 +11,7 @@ from test_resume import SMALL, drive
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.game.game import Game, build_game, joint_horizon
+from negopipe.game.game import Game, build_game
 from negopipe.search import oracle
 from negopipe.stages.evaluate import held_out_tasks
 from negopipe.training.demonstration_search import demonstrated_tasks, demonstrations
@@ -64,8 +64,8 @@ def test_the_policy_is_shown_what_it_would_see(shown_config: RunConfig, shown_ga
     tasks = demonstrated_tasks(shown_config, shown.config, DEVICE)["push"]
     world = shown_game.simulator.reset(tasks)
     assert torch.equal(shown.observation[:3], shown_game.see(world))
-    chosen = torch.tensor(shown_config.policy.horizons_s)[shown.action[:3]]
-    assert torch.equal(shown.observation[3:6], shown_game.advance(world, joint_horizon(world, chosen))[2])
+    horizon = world.horizons(torch.tensor(shown_config.policy.horizons_s)[shown.action[:3]])
+    assert torch.equal(shown.observation[3:6], shown_game.advance(world, horizon)[2])
 
 
 def test_its_tasks_are_training_tasks_and_not_held_out(shown_config: RunConfig, shown_game: Game) -> None:

@@ -1,6 +1,6 @@
-"""The planners that the policy is compared with, one per file.
+"""The baselines, the planners that the policy is compared with, one per file.
 
-Who adds one writes a file here, whose `Config` is a `negopipe.agents.baseline.Baseline` with a `kind` of its own, and a
+A new baseline is a file here, whose `Config` is a `negopipe.agents.baseline.Baseline` with a `kind` of its own, and a
 YAML in `conf/evaluation/baseline` that chooses it.
 """
 

@@ -1,5 +1,6 @@
-"""A driver that takes no risk and plans no path: it keeps to its route, enters the corridor only if it will be out
-again before the other could be in, and minds its speed by the Intelligent Driver Model (Treiber et al. 2000).
+"""Cautious driver: it follows its route and enters the corridor only if it can leave it before the other enters.
+
+Its speed is that of the Intelligent Driver Model (Treiber et al. 2000). It plans no path.
 """
 
 from typing import Literal, NamedTuple
@@ -18,13 +19,15 @@ from negopipe.simulation.state import Motion
 from negopipe.tensors.tree import map_tensors
 
 FREE_M = 1e3
-"""Gap of who has nothing ahead."""
+"""Gap of a vehicle without an obstacle ahead, m."""
 LEAST_GAP_M = 0.1
+"""Smallest gap by which the model divides, m."""
 LONG_S = 1e3
-"""Until who stands still is somewhere else."""
+"""Travel time of a standing vehicle, s."""
 FARTHEST_M = 50.0
+"""Length of the search for a waiting place, before the mouth, m."""
 STEP_M = 0.25
-"""How far before the mouth a waiting place is looked for, and the spacing of the places that are tried."""
+"""Spacing of the waiting places that are tried, m."""
 
 
 @schema
@@ -45,14 +48,14 @@ class Config(Baseline):
 
 
 class Hindrance(NamedTuple):
-    """What a distance is kept from. gap_m: [E, 1] to it; closing_mps: [E, 1], how fast the gap shrinks."""
+    """An obstacle ahead: gap_m [E, 1], distance to it; closing_mps [E, 1], rate at which the gap shrinks."""
 
     gap_m: Tensor
     closing_mps: Tensor
 
 
 class CautiousDriver:
-    """Follows its route, no slower than it has to."""
+    """Driver that follows its route at the speed of the Intelligent Driver Model."""
 
     def __init__(self, game: Game, config: Config) -> None:
         self.road, self.dt_s, self.config = game.simulator.road, game.simulator.scenario.dt_s, config
@@ -73,19 +76,21 @@ class CautiousDriver:
         return Motion(self.road.to_world(route, perception.direction), no_horizon, no)
 
     def stop_line(self, met: Encounter, direction: Tensor, desired_speed: Tensor) -> Hindrance:
-        """Where the centre comes to rest while someone could be in the corridor before the ego is out."""
+        """The stop line before the corridor; it counts while another vehicle could enter before the ego has left."""
         through_m = self.road.config.corridor_length_m + self.length_m / 2
         own_s = time_to(through_m, met.own.s, (met.own.s_dot + desired_speed) / 2)
         other_s = time_to(-self.length_m / 2, met.other_s, met.other_speed)
         must_wait = (met.is_oncoming & (other_s < own_s[..., None] + self.config.margin_s)).any(-1)
         is_along = (direction > 0).long()
-        can_wait = met.own.s < self._latest_m[is_along] + LEAST_GAP_M  # past the line, too, as long as it can be passed
+        can_wait = (
+            met.own.s < self._latest_m[is_along] + LEAST_GAP_M
+        )  # also past the line, as long as the other can pass
         left = self._waiting_m[is_along] - met.own.s
         gap = torch.where(must_wait & can_wait, left + self.config.gap_m, FREE_M)
         return Hindrance(gap, met.own.s_dot)
 
     def nose_to_nose(self, met: Encounter) -> Hindrance:
-        """The nearest oncoming vehicle that has its front in the corridor, as the ego has."""
+        """The nearest oncoming vehicle, where both have their fronts in the corridor."""
         is_inside = (met.own.s[..., None] > -self.length_m / 2) & (met.other_s > -self.length_m / 2)
         in_the_way = met.is_oncoming & is_inside & (met.apart_m > 0)
         gap, which = torch.where(in_the_way, met.apart_m - self.length_m, FREE_M).min(-1, keepdim=True)
@@ -93,8 +98,9 @@ class CautiousDriver:
 
 
 def waiting_place(simulator: Simulator, latest_s_m: float, direction: float) -> float:
-    """s (m) on the own route, `latest_s_m` or the last place before it that the other can pass on its route; -inf
-    where there is none within `FARTHEST_M`.
+    """s (m) of the last place on the own route, `latest_s_m` at most, that the other can pass on its route.
+
+    It is -inf where there is none within `FARTHEST_M`.
     """
     road, s = simulator.road, torch.arange(latest_s_m, -FARTHEST_M, -STEP_M, device=simulator.road.parked_cars.device)
     own, zero = torch.full_like(s, direction), torch.zeros_like(s)
@@ -105,13 +111,13 @@ def waiting_place(simulator: Simulator, latest_s_m: float, direction: float) -> 
 
 
 def _by_direction(simulator: Simulator, latest_s_m: float) -> Tensor:
-    """[2] float32: the waiting places of vehicles that drive against the line and along it."""
+    """[2] float32: waiting places of vehicles that drive against the line and along it, m."""
     places = [waiting_place(simulator, latest_s_m, direction) for direction in (-1.0, 1.0)]
     return torch.tensor(places, device=simulator.road.parked_cars.device)
 
 
 def nearest(a: Hindrance, b: Hindrance) -> Hindrance:
-    """Whichever is nearer, world by world."""
+    """The nearer one of two hindrances, world by world."""
     is_a = a.gap_m <= b.gap_m
     return Hindrance(*(torch.where(is_a, of_a, of_b) for of_a, of_b in zip(a, b, strict=True)))
 
@@ -126,6 +132,6 @@ def idm(config: Config, speed: Tensor, desired_speed: Tensor, hindrance: Hindran
 
 
 def time_to(s_m: float, now_m: Tensor, speed: Tensor) -> Tensor:
-    """Until a place is reached at a steady speed, s; 0 where it is behind, `LONG_S` at most."""
+    """Travel time to a place at constant speed, s; 0 where the place is behind, `LONG_S` at most."""
     left = (s_m - now_m).clamp(min=0)
     return torch.where(left > 0, (left / speed.clamp(min=1e-3)).clamp(max=LONG_S), 0.0)

@@ -1,4 +1,4 @@
-"""One and the same prediction horizon at every decision: the paper's baselines."""
+"""Fixed horizon: the same prediction horizon at every decision, as the baselines of the paper."""
 
 from typing import Literal
 
@@ -12,7 +12,10 @@ from negopipe.schema import NonNegativeFloat, schema
 
 @schema
 class Config(Baseline):
-    """horizon_s: how far ahead the other is predicted; 0 = it is ignored."""
+    """A fixed horizon.
+
+    horizon_s: time for which the other is predicted; 0 = it is ignored
+    """
 
     kind: Literal["fixed"]
     horizon_s: NonNegativeFloat

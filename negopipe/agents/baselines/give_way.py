@@ -1,6 +1,6 @@
-"""The rule of the road: whoever is farther from the corridor lets the other through first.
+"""Give way: the vehicle that is farther from the corridor lets the other through first.
 
-In the game's own terms: with a long prediction horizon the planner gives way, with a short one it goes.
+The planner gives way with a long prediction horizon and goes first with a short one.
 """
 
 from typing import Literal
@@ -33,7 +33,7 @@ class Config(Baseline):
 
         def choose(perception: Perception) -> Tensor:
             met = encounter(road, length_m, perception)
-            is_nearer = met.other_s >= met.own.s[..., None]  # of equals, both wait
+            is_nearer = met.other_s >= met.own.s[..., None]  # at equal distances both wait
             must_wait = (met.is_oncoming & is_nearer).any(-1)
             return torch.where(must_wait, self.waiting_horizon_s, self.going_horizon_s)
 

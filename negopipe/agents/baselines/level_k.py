@@ -1,11 +1,11 @@
-"""A game-theoretic chooser: level-k reasoning (Costa-Gomes and Crawford 2006) over the horizons of both vehicles.
+"""Level-k reasoning (Costa-Gomes and Crawford 2006) over the horizons of both vehicles.
 
-It plays what it perceives forward for a while, with every horizon of its own against every one of the other, and
-counts what each of the two would have gained. At level 0 a vehicle keeps to some horizon; of the other it believes
-what its latest motion makes likely. At level k a vehicle answers best to the other at level k - 1. The other's style
-and desired speed are not known to it.
+The perceived situation is simulated for a while, with every horizon of the ego against every one of the other, which
+gives the payoffs of both. At level 0 a vehicle keeps one horizon; the belief in the other's horizon comes from its
+latest motion. At level k a vehicle plays the best response to the other at level k - 1. The style and the desired
+speed of the other are not known.
 
-Axes: E worlds, A horizons, B of them for the other, V vehicles, O = V - 1 others, L steps looked back at.
+Axes: E worlds, A horizons of the ego, B of the other, V vehicles, O = V - 1 others, L past steps.
 """
 
 from dataclasses import replace
@@ -24,6 +24,7 @@ from negopipe.simulation.state import EGO, Task, VehicleState, World
 from negopipe.tensors.tree import map_tensors
 
 BEHIND_M = 100.0
+"""Distance behind the ego at which a vehicle that is not seen is put, m."""
 
 
 @schema
@@ -55,7 +56,7 @@ class Config(Baseline):
 
 
 class LevelK:
-    """Chooses anew every `keep_s`, for episodes that start together; a `negopipe.agents.driver.ChooseHorizon`."""
+    """Choice of a horizon every `keep_s`, in episodes that start together: a `agents.driver.ChooseHorizon`."""
 
     def __init__(self, game: Game, config: Config) -> None:
         self.game, self.config = game, config
@@ -72,8 +73,10 @@ class LevelK:
         return self._kept[:, None]
 
     def payoffs(self, perception: Perception) -> tuple[Tensor, Tensor]:
-        """What the ego and the nearest other gain, [E, A, B] each: metres driven, up to the target, those of the
-        opponent with the weight `courtesy`, less the cost of a collision.
+        """Payoffs of the ego and of the nearest other, [E, A, B] each, m.
+
+        A payoff is the distance driven, at most to the target, plus that of the opponent with the weight `courtesy`,
+        less the cost of a collision.
         """
         n = len(self.horizons)
         now = map_tensors(lambda a, b: torch.cat([a, b], 1), perception.own, _of_others(perception))
@@ -92,10 +95,10 @@ class LevelK:
         return own, other
 
     def belief(self, perception: Perception, n_driven: int) -> Tensor:
-        """[E, B]: how likely each horizon of the nearest other is, by its speeds in the last `lookback_s`.
+        """[E, B]: probabilities of the horizons of the nearest other, from its speeds in the last `lookback_s`.
 
-        At each of these steps every horizon would have had the planner do something; the speed that was seen next is
-        taken as that and a normal error.
+        At each of these steps the planner gives a next speed for every horizon. The perceived next speed is taken as
+        that speed plus a normal error.
 
         n_driven: steps since the start
         """
@@ -121,8 +124,9 @@ class LevelK:
         return torch.softmax(-misfit / 2, -1)
 
     def _seen(self, perception: Perception) -> tuple[Tensor, Tensor, Tensor]:
-        """Poses [E, K, V, 3], and by their backward differences speeds [E, K - 2, V] and accelerations [E, K - 3, V]
-        along the road; index 0 is now.
+        """Poses [E, K, V, 3], speeds [E, K - 2, V] (m/s) and accelerations [E, K - 3, V] (m/s2); index 0 is now.
+
+        Speeds and accelerations are backward differences along the road.
         """
         pose = torch.cat([perception.own_history, perception.other_history[:, :, 0]], 2)
         s = self.game.simulator.road.progress(pose[..., :2], _directions(self.game, perception)[:, None])
@@ -130,7 +134,7 @@ class LevelK:
         return pose, speed, (speed[:, :-1] - speed[:, 1:]) / self.dt_s
 
     def _progress(self, world: World) -> Tensor:
-        """[E, V], m: s of each vehicle, its target's at most."""
+        """[E, V] m: s of each vehicle, at most that of its target."""
         road = self.game.simulator.road
         return road.progress(world.vehicles.position, world.task.direction).clamp(max=road.target_s_m)
 
@@ -139,16 +143,17 @@ class LevelK:
 
 
 def best_response(own: Tensor, other: Tensor, belief: Tensor, level: int) -> Tensor:
-    """[E] int64: the ego's horizon at `level`; own, other: payoffs [E, A, B]; belief: [E, B] in the other at level 0.
+    """[E] int64: index of the ego's horizon at `level`.
 
-    Of itself, as the other at level 0 may see it, the ego assumes nothing: each horizon is equally likely.
+    own, other: payoffs [E, A, B]
+    belief: [E, B], probabilities of the other's horizons at level 0. The other's belief in the ego's is uniform
     """
     expected = (own * _play(own, other, belief, level - 1)[:, None]).sum(-1)
     return expected.argmax(-1)
 
 
 def _play(own: Tensor, other: Tensor, belief: Tensor, level: int) -> Tensor:
-    """[E, B]: how likely the other plays what at `level`."""
+    """[E, B]: probabilities of the other's horizons at `level`."""
     if level == 0:
         return belief
     uniform = torch.full_like(own[:, :, 0], 1 / own.shape[1])
@@ -157,7 +162,7 @@ def _play(own: Tensor, other: Tensor, belief: Tensor, level: int) -> Tensor:
 
 
 def imagined(game: Game, vehicles: VehicleState, direction: Tensor, desired_speed: Tensor) -> World:
-    """Worlds as one vehicle takes them to be: the others want to drive as fast as it does, and nobody has a past.
+    """Worlds as one vehicle assumes them: the others have the same desired speed, and no vehicle has a past.
 
     vehicles: VehicleState [E, V]; direction: [E, V]; desired_speed: [E, 1], m/s
     """
@@ -177,7 +182,7 @@ def imagined(game: Game, vehicles: VehicleState, direction: Tensor, desired_spee
 
 
 def _of_others(perception: Perception) -> VehicleState:
-    """[E, O], those that are not seen far behind the ego."""
+    """[E, O]: the others; those that are not seen are put far behind the ego."""
     other = map_tensors(lambda field: field[:, 0], perception.other)
     away = torch.stack([perception.own.yaw.cos(), perception.own.yaw.sin()], -1)
     behind = (perception.own.position - BEHIND_M * away).expand_as(other.position)
@@ -185,5 +190,5 @@ def _of_others(perception: Perception) -> VehicleState:
 
 
 def _directions(game: Game, perception: Perception) -> Tensor:
-    """[E, V], of the ego and the others as they are seen to head."""
+    """[E, V]: driving directions of the ego and of the others, by their perceived headings."""
     return torch.cat([perception.direction, game.simulator.road.direction_of(perception.other)[:, 0]], 1)

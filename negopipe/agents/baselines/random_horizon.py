@@ -1,4 +1,4 @@
-"""A horizon drawn anew now and then, whatever the other does: what a policy must beat to have learnt anything."""
+"""Random horizon: drawn anew every so often, whatever the other does; a trained policy must be better."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -16,7 +16,11 @@ from negopipe.tensors.stateless_rng import mix
 
 @schema
 class Config(Baseline):
-    """horizons_s: each is drawn equally often. keep_s: time for which a drawn horizon is kept."""
+    """A random horizon.
+
+    horizons_s: s, each equally likely
+    keep_s: time for which a horizon is kept
+    """
 
     kind: Literal["random"]
     horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
