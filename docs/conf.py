@@ -60,6 +60,7 @@ def setup(app: Sphinx) -> None:
     app.connect("builder-inited", write_reference)
     app.connect("autodoc-process-docstring", docstring_as_rst)
     app.connect("autodoc-process-signature", signature)
+    app.connect("html-page-context", without_navigation, priority=400)  # before the theme's own
 
 
 def write_reference(app: Sphinx) -> None:
@@ -78,6 +79,12 @@ def docstring_as_rst(app: Sphinx, what: str, name: str, obj: Any, options: Any, 
 def signature(app: Sphinx, what: str, name: str, obj: Any, options: Any, own: str, returned: str) -> tuple | None:
     """Fields of a dataclass stand below it with their types, so that its signature would say them twice."""
     return ("", None) if _is_dataclass(obj) else None
+
+
+def without_navigation(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: Any) -> None:
+    """Pages of source code have no tree of pages beside them: it would take a third of the build."""
+    if page.startswith("_modules/"):
+        context.pop("toctree", None)
 
 
 def _is_dataclass(obj: Any) -> bool:

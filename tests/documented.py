@@ -92,23 +92,26 @@ def results(path: Path) -> Iterator[Results]:
 
 
 def unsupported(table: Results) -> list[str]:
-    """Cells whose numbers do not all stand in one row of the raw tables, as row: cell.
+    """Cells whose numbers the raw tables do not bear out, as row: cell.
 
-    A number stands there if a value, or a hundred times a value, rounds to it. Raw rows are those of the planner that
-    the row names (`fixed 2 s` is `fixed_2`, `policy` is `adaptive`) and of the setting that the column's head begins
-    with, where the raw table has such rows.
+    They do if all numbers of the cell stand in one raw row, or if the cell is `a to b` and these are the smallest and
+    the largest value of a raw column. A number stands for a value, or for a hundred times a value, that rounds to it.
+    Raw rows are those of the planner or algorithm that the row names (`fixed 2 s` is `fixed_2`, `policy` is `adaptive`)
+    and of the setting that the column's head begins with, where the raw table has such rows.
     """
     return [
         f"{row[0]}: {head} {cell}"
         for row in table.rows
         for head, cell in zip(table.header[1:], row[1:], strict=True)
-        if not _is_supported(cell, [_rows_of(raw, row[0], head) for raw in table.raw()])
+        if not any(_bears_out(_rows_of(raw, row[0], head).select_dtypes("number"), cell) for raw in table.raw())
     ]
 
 
-def _is_supported(cell: str, tables: list[pd.DataFrame]) -> bool:
+def _bears_out(raw: pd.DataFrame, cell: str) -> bool:
     written = NUMBER.findall(cell)
-    rows = [values for table in tables for values in table.select_dtypes("number").to_numpy().tolist()]
+    rows = raw.to_numpy().tolist()
+    if re.fullmatch(rf"{NUMBER.pattern} to {NUMBER.pattern}", cell):
+        rows += [[raw[column].min(), raw[column].max()] for column in raw]
     return not written or any(all(_stands_in(number, values) for number in written) for values in rows)
 
 
@@ -119,17 +122,15 @@ def _stands_in(number: str, values: list[float]) -> bool:
 
 
 def _rows_of(raw: pd.DataFrame, label: str, head: str) -> pd.DataFrame:
-    if "planner" in raw:
-        slug = re.sub(r"\W+", "_", re.sub(r"(?<=\d) s\b", "", label.lower())).replace("policy", "adaptive")
-        raw = _those(
-            raw, [str(planner) for planner in raw["planner"].unique() if slug.startswith(str(planner))], "planner"
-        )
+    slug = re.sub(r"\W+", "_", re.sub(r"(?<=\d) s\b", "", label.lower())).replace("policy", "adaptive")
+    for column in {"planner", "algorithm"} & set(raw.columns):
+        known = raw[column].unique()
+        raw = _those(raw, column, [slug] if slug in known else [name for name in known if slug.startswith(name)])
     if "setting" in raw:
-        raw = _those(raw, re.findall(r"^\w+(?=:)", head), "setting")
-    seeds = re.findall(r"seed (\d+)", label)
-    return raw[raw["seed"] == int(seeds[0])] if seeds and "seed" in raw else raw
+        raw = _those(raw, "setting", re.findall(r"^\w+(?=:)", head))
+    return _those(raw, "seed", [int(seed) for seed in re.findall(r"seed (\d+)", label)]) if "seed" in raw else raw
 
 
-def _those(raw: pd.DataFrame, names: list[str], column: str) -> pd.DataFrame:
+def _those(raw: pd.DataFrame, column: str, names: list) -> pd.DataFrame:
     chosen = raw[raw[column].isin(names)]
     return chosen if len(chosen) else raw
