@@ -101,10 +101,10 @@ def test_help_names_the_experiments_and_needs_no_torch() -> None:
         ),
         (["outputs='\udcc3'"], "outputs must be UTF-8, got \\udcc3"),
         (["name=2024_05"], """name must be a valid string, got 202405, try 'name="2024_05"'"""),
-        (["runs=yield"], "runs is no key any more: python -m negopipe.sweeping.compare <outputs>/<name> compares"),
+        (["runs=yield"], "runs is no key any more: compare by python -m negopipe.sweeping.compare <outputs>/<name>"),
         (
             ["+runs=yield"],
-            "runs is no key any more: python -m negopipe.sweeping.compare <outputs>/<name> compares",
+            "runs is no key any more: compare by python -m negopipe.sweeping.compare <outputs>/<name>",
         ),
         (["outputs=null"], """outputs must be a valid string, got null, try 'outputs="null"'"""),
         (["checkpoint=true"], """checkpoint must be a valid string, got true, try 'checkpoint="true"'"""),

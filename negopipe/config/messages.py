@@ -80,7 +80,7 @@ def _is_not_unicode(value: Any) -> bool:
     return isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value)
 
 
-REMOVED = {"runs": "python -m negopipe.sweeping.compare <outputs>/<name> compares"}
+REMOVED = {"runs": "compare by python -m negopipe.sweeping.compare <outputs>/<name>"}
 """Former keys, and what took their place."""
 
 
