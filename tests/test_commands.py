@@ -39,6 +39,8 @@ NOT_RUN = {
     "source .venv/bin/activate": "the environment of the tests",
     "pre-commit install": "changes the checkout's hooks",
 }
+NAMING = ("Makefile", "conf/config.yaml", "jobs/README.md", "outputs/README.md")
+"""Files that name commands, beside the scripts of jobs/."""
 NEEDS = {"joblib": "hydra_plugins.hydra_joblib_launcher", "submitit": "submitit", "ray": "ray", "optuna": "optuna"}
 
 
@@ -77,6 +79,14 @@ def run(command: str, place: Path, **more: str) -> str:
     )
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout
+
+
+@pytest.mark.parametrize("path", [*sorted((ROOT / "jobs").glob("*.sh")), *(ROOT / name for name in NAMING)], ids=str)
+def test_the_modules_that_commands_name_can_be_run(path: Path) -> None:
+    for module in re.findall(r"python -m (negopipe[\w.]*\w)", path.read_text(encoding="utf-8")):
+        found = importlib.util.find_spec(module)
+        assert found is not None, module
+        assert found.submodule_search_locations or "__main__" in Path(str(found.origin)).read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -112,12 +112,13 @@ def compare_runs(given: argparse.Namespace, command: str) -> bool:
     groups = group_runs(runs, given.by)
     target = folders[0].parent / "sweeps" / (given.sweep or _joined([folder.name for folder in folders]))
     target.mkdir(parents=True, exist_ok=True)
+    title = f"runs of {target.name}{' by ' if given.by else ''}{', '.join(given.by)}"
     episodes = cache(lambda: read_episodes(groups))
     parts: Mapping[str, Callable[[], None]] = {
         "table": lambda: write_table(target, runs, given.objective, given.minimize),
         "seeds": lambda: write_seeds(target, episodes(), oracle),
         "curves": lambda: write_curves(target, runs, groups, given.every),
-        "page": lambda: write_page(target, runs, groups, episodes(), command),
+        "page": lambda: write_page(target, title, runs, groups, episodes(), command),
     }
     return any([_is_made(name, make) for name, make in parts.items() if name in given.only])
 

@@ -1,6 +1,6 @@
 """The page over many runs: which config does better over its seeds, and with what certainty."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from negopipe.report.figures import render
 from negopipe.report.labels import setting_label
 from negopipe.report.page import Chapter, FigureItem, Provenance, Section, build_page
 from negopipe.report.provenance import claims_text, versions
-from negopipe.report.tables import Column, table
+from negopipe.report.tables import Cell, Column, Row, Table, table
 from negopipe.sweeping.curriculum_claim import curriculum_claim
 from negopipe.sweeping.groups import Groups, LeftOut, short_names
 from negopipe.sweeping.learning_curves import COLORS, learning_curves, read_curves
@@ -39,7 +39,9 @@ SEEDS = Column("seeds", "n_seeds", 1, 0)
 EPISODES = Column("episodes", "n_episodes", 1, 0)
 
 
-def write_page(target: Path, runs: Sequence[SweptRun], groups: Groups, episodes: pd.DataFrame, command: str) -> None:
+def write_page(
+    target: Path, title: str, runs: Sequence[SweptRun], groups: Groups, episodes: pd.DataFrame, command: str
+) -> None:
     """Write report.html, and claims.json where the runs tell of the paper's claim on the curriculum.
 
     episodes: rows of `seeds.read_episodes`
@@ -53,12 +55,15 @@ def write_page(target: Path, runs: Sequence[SweptRun], groups: Groups, episodes:
     verdicts, chapters = compare(own.assign(group=own["group"].map(short)))
     curves = read_curves(runs, groups)
     curves = curves[curves["group"].isin(short)]
-    sections = [*_configs(short), _training(curves.assign(group=curves["group"].map(short)))]
-    page = build_page(target.name, verdicts, chapters, claims, sections, _provenance(runs, command))
+    sections = [_training(curves.assign(group=curves["group"].map(short)))]
+    page = build_page(title, verdicts, [*_configs(short), *chapters], claims, sections, _provenance(runs, command))
     write_whole(target / "report.html", page.encode())
     print(f"page       {target / 'report.html'}")
     for head, _ in verdicts:
         print(f"           {head}")
+    for name, letter in short.items():
+        if name != letter and any(f": {letter} has " in head for head, _ in verdicts):
+            print(f"           {letter} is {name}")
     if claims:
         write_whole(target / "claims.json", claims_text(claims).encode())
         print(f"claims     {target / 'claims.json'}: claim {claims[0].number} (curriculum), {claims[0].verdict}")
@@ -77,12 +82,18 @@ def comparable(episodes: pd.DataFrame) -> pd.DataFrame:
     return own
 
 
-def _configs(short: Mapping[str, str]) -> list[Section]:
+def _configs(short: Mapping[str, str]) -> list[Chapter]:
     """The configs' names, where letters stand for them."""
     if list(short) == list(short.values()):
         return []
-    told = "; ".join(f"{letter}: {overrides}" for overrides, letter in short.items())
-    return [Section("Configs", f"Overrides that set the configs apart. {told}.", [])]
+    colors = _colors(short)
+    rows = [Row(letter, colors[name], [Cell(name)]) for name, letter in short.items()]
+    names = Table("Letters of the configs", ["overrides that set it apart"], rows)
+    return [Chapter("Configs", f"{len(rows)} configs, named by letters", [names])]
+
+
+def _colors(names: Collection[str]) -> dict[str, str]:
+    return dict(zip(names, len(names) * COLORS, strict=False))
 
 
 def _training(curves: pd.DataFrame) -> Section:
@@ -140,7 +151,7 @@ def _verdict(setting: str, best: str, found: Mapping[str, Any], rewards: Mapping
         return f"{setting_label(setting)}: {best}, {over}.", detail
     rng = np.random.default_rng(RANDOM_SEED)
     ahead = {name: probability_of_improvement(rewards[best], own, rng) for name, own in rewards.items() if name != best}
-    nearest = min(ahead, key=lambda name: ahead[name].value)
+    nearest = min(ahead, key=lambda name: (ahead[name].value, -rewards[name].mean()))
     close = [name for name, share in ahead.items() if not share.low > EVEN]
     doubt = f", but not clearly higher than {close[0] if len(close) == 1 else f'{len(close)} others'}" if close else ""
     head = f"{setting_label(setting)}: {best} has the highest reward of {len(rewards)} configs{doubt}."
@@ -152,7 +163,7 @@ def _verdict(setting: str, best: str, found: Mapping[str, Any], rewards: Mapping
 
 def _chapter(setting: str, across: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, pd.DataFrame]) -> Chapter:
     labels = {name: name for name in across}
-    colors = dict(zip(across, len(across) * COLORS, strict=False))
+    colors = _colors(across)
     columns = [SUCCESS, COLLISION, REWARD, *([BETTER] if len(across) > 1 else []), SEEDS]
     tables = [table("Over seeds: interquartile means and their intervals", columns, across, labels, colors)]
     each = {

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -37,8 +38,10 @@ LOWEST = 1.0
 """Percentile of all returns at which the axis begins: the first iterations are far below all else."""
 SHORTEST = 0.5
 """Share of its group's longest run that a run must reach to count in the curve, which ends with the shortest."""
-LEGEND_CHARACTERS, LONGEST_LABEL = 115, 60
-"""Characters that fit beside each other above the figure, and in a line of a label."""
+LEGEND_CHARACTERS, HANDLE_CHARACTERS, LONGEST_LABEL = 118, 9, 100
+"""Characters that fit above the figure, that a label's line takes of them, and of the label itself at most."""
+LEGEND_LINES, LINE_IN = 3, 0.19
+"""Lines of the legend that the figure has room for, and the height of each further one."""
 
 
 def write_curves(target: Path, runs: Sequence[SweptRun], groups: Groups, every: int) -> None:
@@ -96,10 +99,18 @@ def learning_curves(table: pd.DataFrame) -> Figure:
     if table["return_mean"].notna().any():
         panels[1, 0].set_ylim(bottom=float(np.nanpercentile(table["return_mean"], LOWEST)))
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    longest = max((len(line) for label in labels for line in label.splitlines()), default=1)
-    n_columns = min(4, max(1, LEGEND_CHARACTERS // (longest + 6)), len(groups))
-    figure.legend(handles, labels, loc="outside upper center", ncols=n_columns)
+    _add_legend(figure, handles, [textwrap.fill(label, LONGEST_LABEL) for label in labels])
     return figure
+
+
+def _add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]) -> None:
+    """In as many columns as fit; the figure grows with its lines."""
+    lines = [label.splitlines() for label in labels]
+    longest = max((len(line) for label in lines for line in label), default=1)
+    n_columns = min(4, max(1, LEGEND_CHARACTERS // (longest + HANDLE_CHARACTERS)), max(1, len(labels)))
+    n_lines = -(-sum(map(len, lines)) // n_columns)
+    figure.set_figheight(figure.get_figheight() + LINE_IN * max(0, n_lines - LEGEND_LINES))
+    figure.legend(handles, labels, loc="outside upper center", ncols=n_columns)
 
 
 def drawn_groups(table: pd.DataFrame) -> list[str]:
@@ -123,7 +134,7 @@ def _curve(axis: Axes, rows: pd.DataFrame, x: str, measure: str, scale: float, c
     noun = "seed" if len({part["seed"].iloc[0] for part in runs}) == len(runs) else "run"
     name = f"{rows['group'].iloc[0]} ({len(runs)} {noun}{'s' if len(runs) > 1 else ''})"
     axis.fill_between(scale * at, values.min(0), values.max(0), color=color, alpha=0.2, linewidth=0)
-    axis.plot(scale * at, values.mean(0), color=color, linewidth=1.6, label=textwrap.fill(name, LONGEST_LABEL))
+    axis.plot(scale * at, values.mean(0), color=color, linewidth=1.6, label=name)
     axis.tick_params(color=QUIET)
 
 

@@ -212,17 +212,22 @@ def _named(name: str, estimate: Estimate) -> dict[str, float]:
 
 
 def _show(table: pd.DataFrame) -> None:
-    """An estimate and its interval in one cell."""
+    """Groups of one setting and planner below each other; an estimate and its interval in one cell."""
     shown = [name for name in table if not str(name).endswith(("_low", "_high"))]
     view = Table(caption="Over seeds: interquartile means and their 95 % intervals")
     for name in shown:
         is_text = not pd.api.types.is_numeric_dtype(table[name])
         view.add_column(str(name), justify="left" if is_text else "right", overflow="fold")
-    for row in table.head(N_SHOWN).to_dict("records"):
+    for row in table.sort_values(["setting", "planner"], key=_place, kind="stable").head(N_SHOWN).to_dict("records"):
         view.add_row(*(escape(_cell(row, str(name))) for name in shown))
     show(view)
     if len(table) > N_SHOWN:
         print(f"... and {len(table) - N_SHOWN} more")
+
+
+def _place(column: pd.Series) -> pd.Series:
+    """Of each value, the place at which it comes first among the others."""
+    return column.map({value: place for place, value in enumerate(column.unique())})
 
 
 def _cell(row: dict, name: str) -> str:

@@ -184,7 +184,7 @@ def test_configs_with_long_overrides_are_explained(tmp_path: Path) -> None:
         write_record(folder, RunRecord("key", "s", tags, {}))
     assert main([str(tmp_path / "yield"), "--only", "page"]) == 0
     text = (tmp_path / "sweeps" / "yield" / "report.html").read_text()
-    assert "B: algorithm.rate=0.2 algorithm.some_very_long_key_of_it=10.2" in text
+    assert "</span>B</th><td>algorithm.rate=0.2 algorithm.some_very_long_key_of_it=10.2</td>" in text
 
 
 def test_the_claim_on_the_curriculum_is_written_where_it_can_be_judged(tmp_path: Path) -> None:
