@@ -78,8 +78,8 @@ def test_a_planners_name_tells_nothing_of_its_horizon() -> None:
     colors = style.planner_colors([*fixed_s, "fixed_0"], fixed_s)
     assert [colors[name] for name in fixed_s] == [style.horizon_color(horizon_s) for horizon_s in fixed_s.values()]
     assert colors["fixed_0"] not in [colors[name] for name in fixed_s]
-    labels = [labels.planner_label(name, fixed_s).replace("\N{NO-BREAK SPACE}", "~") for name in (*fixed_s, "fixed_0")]
-    assert labels == ["bold (0~s)", "fixed 2 (6~s)", "fixed 2.5~s", "random (4~s)", "fixed 0"]
+    shown = [labels.planner_label(name, fixed_s).replace("\N{NO-BREAK SPACE}", "~") for name in (*fixed_s, "fixed_0")]
+    assert shown == ["bold (0~s)", "fixed 2 (6~s)", "fixed 2.5~s", "random (4~s)", "fixed 0"]
 
 
 def test_comparison_prints_the_means(table: pd.DataFrame) -> None:
