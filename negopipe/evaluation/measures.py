@@ -98,7 +98,7 @@ MEASURES = (
     Measure(
         "suspend_count",
         "suspensions",
-        "",
+        "count",
         "mean number of stops of the ego before it arrives",
         column="suspend_count",
         decimals=2,
@@ -136,7 +136,7 @@ MEASURES = (
     ),
     Measure(
         "smallest_gap_m",
-        "smallest gap",
+        "gap",
         "m",
         "mean smallest distance of the ego's footprint to a social vehicle's",
         column="smallest_gap_m",
@@ -145,7 +145,7 @@ MEASURES = (
     ),
     Measure(
         "smallest_ttc_s",
-        "smallest TTC",
+        "TTC",
         "s",
         "mean smallest time to collision, over the episodes with a collision course",
         column="smallest_ttc_s",
@@ -153,7 +153,7 @@ MEASURES = (
     ),
     Measure(
         "largest_decel_mps2",
-        "largest deceleration",
+        "deceleration",
         "m/s²",
         "mean largest deceleration of the ego",
         column="largest_decel_mps2",
@@ -161,7 +161,7 @@ MEASURES = (
     ),
     Measure(
         "largest_jerk_mps3",
-        "largest jerk",
+        "jerk",
         "m/s³",
         "mean largest absolute jerk of the ego",
         column="largest_jerk_mps3",
@@ -170,7 +170,7 @@ MEASURES = (
     Measure(
         "full_braking_count",
         "full braking",
-        "decisions",
+        "count",
         "mean number of decisions without a feasible plan, in which the ego brakes fully",
         column="full_braking_count",
         table="safety",

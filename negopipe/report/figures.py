@@ -68,7 +68,7 @@ def comparison(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
         _arrival_bars(axes[0, column], by_planner, list(colors.values()))
         for axis, measure in zip(axes[1:, column], drawn, strict=True):
             _boxes(axis, [part[measure.column].dropna().to_numpy() for part in by_planner], list(colors.values()))
-            axis.set_xlabel(measure.heading)
+            axis.set_xlabel(f"{measure.label} [{measure.unit or 1}]")
         axes[0, column].set_title(setting_label(setting))
     axes[0, 0].set_yticks(range(len(planners)), [planner_label(planner, fixed_s) for planner in planners])
     axes[0, 0].set_ylim(len(planners) - 0.5, -0.5)

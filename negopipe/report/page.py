@@ -76,7 +76,7 @@ OF_SEVERAL: Mapping[Verdict, str] = {
 """Verdict -> its form after a number of claims."""
 
 
-LONG_WORDS = ("suspen-sions", "suspen-sion", "deceler-ation", "avoid-able", "colli-sions", "dead-lock", "deci-sions")
+LONG_WORDS = ("suspen-sions", "suspen-sion", "deceler-ation", "avoid-able", "colli-sions", "dead-lock")
 """Words in labels of columns, with a hyphen where a narrow column may break them."""
 
 

@@ -63,7 +63,7 @@ class Column:
 CAPTIONS = {
     "outcomes": "Outcomes (timeouts include deadlocks)",
     "driving": "Driving",
-    "safety": "Safety: means of the extremes of each episode",
+    "safety": "Safety: means of smallest gap and TTC, largest deceleration and jerk",
 }
 """Name of a table of measures -> its caption, in the order of the page."""
 BEST: dict[str | None, Literal["max", "min"] | None] = {"higher": "max", "lower": "min", None: None}

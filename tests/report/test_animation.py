@@ -110,7 +110,7 @@ def test_the_end_is_told_and_stays(traces: list[Trace], scene: Scene) -> None:
     assert panel.status.get_text() == f"collision after {crashed.n_steps[0] * crashed.dt_s:.1f} s"
 
 
-def test_what_the_policy_saw_and_thought_is_drawn(traces: list[Trace], scene: Scene) -> None:
+def test_the_grids_and_probabilities_of_the_policy_are_drawn(traces: list[Trace], scene: Scene) -> None:
     n_steps = int(traces[0].n_steps[0])
     grids = np.zeros((n_steps, 4, 84, 84), dtype=np.uint8)
     grids[5, 0, 0, 0] = 1  # farthest ahead, farthest to the left
@@ -118,12 +118,12 @@ def test_what_the_policy_saw_and_thought_is_drawn(traces: list[Trace], scene: Sc
     probability[5] = (0.7, 0.1, 0.1, 0.1)
     policy_trace = PolicyTrace(grids, probability, (0.0, 2.0, 4.0, 6.0), 1.0)
     film = _Film(traces[:1], 0, scene, FIXED_S, policy_trace)
-    (thoughts,) = film.thoughts
-    thoughts.artists_at(5 * traces[0].dt_s)
-    assert [bar.get_width() for bar in thoughts.bars] == pytest.approx([0.7, 0.1, 0.1, 0.1])
-    assert thoughts.shares[0].get_text() == "70 %"
-    shown = np.asarray(thoughts.images[0].get_array())
+    (row,) = film.policy_rows
+    row.artists_at(5 * traces[0].dt_s)
+    assert [bar.get_width() for bar in row.bars] == pytest.approx([0.7, 0.1, 0.1, 0.1])
+    assert row.shares[0].get_text() == "70 %"
+    shown = np.asarray(row.images[0].get_array())
     assert np.argwhere(shown).tolist() == [[0, 83]]  # ahead is to the right, left is up
-    thoughts.artists_at(1e3)
-    assert thoughts.bars[3].get_width() == pytest.approx(0.4)  # of the last decision
+    row.artists_at(1e3)
+    assert row.bars[3].get_width() == pytest.approx(0.4)  # of the last decision
     assert film.draw(0.0).height > _Film(traces[:1], 0, scene, FIXED_S).draw(0.0).height

@@ -98,7 +98,7 @@ def test_the_behaviour_index_is_read_from_the_drives(traces: list[Trace]) -> Non
     assert shares["yield: episodes in which psi is positive first [%]"] == 100
     assert claim.verdict == (
         "holds"
-        if shares["yield: episodes in which it is positive first and negative later [%]"] > 50
+        if shares["yield: episodes in which psi is positive first and negative later [%]"] > 50
         else "does not hold"
     )
 

@@ -61,6 +61,6 @@ def test_what_is_not_evaluated_is_not_said_to_be() -> None:
     assert run_description(compose_config(["+experiment=yield", "stages=[train]"])).endswith("both 573,440.")
 
 
-def test_what_was_shown_is_said() -> None:
+def test_the_description_names_the_demonstrations() -> None:
     what = run_description(compose_config(["+experiment=yield", "stages=[train]", "curriculum=demonstrations"]))
-    assert what.endswith(": full 327,680, shown what a search that knows everything finds on 128 training tasks.")
+    assert what.endswith(": full 327,680, with demonstrations of a search with full knowledge on 128 training tasks.")

@@ -78,10 +78,10 @@ def test_the_leading_setting_comes_first() -> None:
 def test_a_claim_shows_its_verdict_and_figures() -> None:
     page = make_page()
     assert '<strong class="does-not-hold">does not hold</strong> Nobody &lt;else&gt; arrives' in page
-    assert "It holds if: all others fail." in page
+    assert "The claim holds if: all others fail." in page
     assert "<td>69.00 (62.30 to 75.00)</td><td>does not hold</td>" in page
     assert "Of 1 claims: 1 do not hold." in page
-    before_the_rule = page[: page.index("It holds if")]
+    before_the_rule = page[: page.index("The claim holds if")]
     assert "success of fixed 6 s [%]: 100.00 (98.10 to 100.00)" in before_the_rule  # the clearest against it
     assert "fixed 4 s [%]" not in before_the_rule
 

@@ -213,7 +213,7 @@ def test_figures_depend_on_the_files_of_the_run(run: RecordedRun, table: pd.Data
     page = (run.folder / "report.html").read_text()
     assert "Success rate by social style" in page
     assert "Behaviour map" in page
-    assert "Coming closer: holds in 1 of 1 (push against 0 s)" in page
+    assert "Smaller gap: holds in 1 of 1 (push against 0 s)" in page
     assert "was not trained in this run" in page
     assert "Learning curves" not in page
 

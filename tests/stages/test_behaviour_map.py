@@ -80,7 +80,7 @@ def test_two_who_do_not_look_collide_and_touch(ran: RecordedRun) -> None:
     assert blind["ego_time_s"].isna().all()
 
 
-def test_everything_is_written_and_logged(ran: RecordedRun) -> None:
+def test_the_behaviour_map_is_written_and_logged(ran: RecordedRun) -> None:
     assert ran.artifacts == [
         ("behaviour_map.csv", ""),
         ("behaviour_map.png", "figures"),
@@ -89,7 +89,9 @@ def test_everything_is_written_and_logged(ran: RecordedRun) -> None:
     verdicts = ran.sections["behaviour_map"]["claims"]
     assert set(verdicts) == {"ego_passes_first_rate", "smallest_gap_m"}
     assert set(verdicts["smallest_gap_m"]["push"]) == {"social_0", "social_6"}
-    assert ran.description.startswith("A shorter prediction horizon of the ego as more aggressive driving")
+    assert ran.description.startswith(
+        "Claim 8, that a shorter prediction horizon of the ego gives more aggressive driving"
+    )
 
 
 def test_every_style_meets_the_tasks_of_the_evaluation(config: RunConfig, game: Game) -> None:
@@ -124,10 +126,10 @@ def test_passing_first_must_not_grow_with_the_horizon(first: list[float], verdic
     assert claims(found)["ego_passes_first_rate"] == {"push": {"social_2": verdict}}
 
 
-def test_the_reading_says_where_it_turns() -> None:
+def test_the_paragraph_on_claim_8_names_the_cases_against_it() -> None:
     text = reading(trends(make_table([1.0, 1.0, 0.5, 0.0], [0.7, 0.9, 0.25, 1.0])))
-    assert "Passing first more often: holds in 1 of 1 (push against 2 s)." in text
-    assert "Coming closer: does not hold in 1 of 1 (push against 2 s [0.90 m at 2 s but 0.25 m at 4 s])." in text
+    assert "More first passages: holds in 1 of 1 (push against 2 s)." in text
+    assert "Smaller gap: does not hold in 1 of 1 (push against 2 s [0.90 m at 2 s but 0.25 m at 4 s])." in text
 
 
 def test_the_figure_shows_the_numbers(ran: RecordedRun) -> None:
