@@ -4,15 +4,15 @@
     python jobs/cartpole.py --algorithm ppo --seeds 1,2
     python jobs/cartpole.py --out cartpole.csv algorithm.kl_clip=0.003
 
-`Learner`, `collect` and `ActorCritic` are those that train the driving policy, on a network of 64 units a layer; the
-config is conf/algorithm/<algorithm>.yaml, changed by what stands under OVERRIDES and at the command line's end.
+`Learner`, `collect` and `ActorCritic` are those that train the driving policy, with a network of 64 units per layer.
+The config is conf/algorithm/<algorithm>.yaml, changed by OVERRIDES and by the overrides at the end of the command line.
 
-A row per seed; ends with code 1 if `greedy` of any seed stays under 450. Its columns:
-    greedy, sampled    mean return of the final policy in 100 new episodes, by its most probable and by drawn actions
-    training           mean return of the training's last 100 episodes, actions drawn
-    steps              of all carts together, in the training
-    steps_to_450       after how many of them the mean of 100 episodes first reached 450; nan = never
-    seconds            of the training
+The table has a row per seed. The exit code is 1 if `greedy` of any seed is below 450. Columns:
+    greedy, sampled    mean return of the final policy in 100 new episodes, with its most probable or with drawn actions
+    training           mean return of the last 100 episodes of the training, with drawn actions
+    steps              number of steps of all carts in the training
+    steps_to_450       number of steps after which the mean of 100 episodes first reached 450; nan = never
+    seconds            duration of the training
 """
 
 import argparse
@@ -40,9 +40,9 @@ from negopipe.policy.actor_critic import ActorCritic, greedy_action, mlp, sample
 from negopipe.tensors.seeding import generator
 from negopipe.tracking.csv_file import CsvKind, write_csv
 
-# ACKTR is shown as it stands in conf/ but for smaller batches, as 150,000 steps are few: its steps are measured in nat,
-# which is the same for any network. The Adam rates of conf/ are the paper's, for its grids; a network this small takes
-# larger steps. All collect alike.
+# ACKTR has the options of conf/ except for smaller batches, since 150,000 steps are few. Its steps are measured in nat,
+# which does not depend on the network. The Adam rates of conf/ are those of the paper, for its grids; a network this
+# small takes larger steps. All algorithms collect the same rollouts.
 ADAM = ("algorithm.adam.policy_rate=0.003", "algorithm.adam.value_rate=0.003")
 COLLECTING = ("algorithm.n_worlds=64", "algorithm.n_steps=16", "algorithm.minibatch_size=512")
 OVERRIDES = {
@@ -52,10 +52,11 @@ OVERRIDES = {
     "ppo": (*COLLECTING, *ADAM),
 }
 SOLVED = 450.0
+"""Mean return at which the task counts as solved."""
 N_EPISODES = 100
-"""That a mean return is taken over."""
+"""Number of episodes in a mean return."""
 WIDTH = 64
-"""Units of the encoder's layer, which both heads share, and of each head's hidden layer."""
+"""Units of the encoder's layer and of the hidden layer of each head."""
 TABLE = CsvKind(
     "jobs/cartpole.py",
     {
@@ -102,7 +103,7 @@ class CartPole:
         )
 
     def _start_anew(self, is_done: np.ndarray) -> None:
-        """What gymnasium's batched CartPole does only in its next step, in which it ignores those carts' actions."""
+        """Start the next episodes at once; gymnasium's batched CartPole does so in its next step, without an action."""
         envs = self.envs
         envs.state[:, is_done] = envs.np_random.uniform(envs.low, envs.high, size=(4, is_done.sum()))
         envs.steps[is_done] = 0
@@ -110,16 +111,18 @@ class CartPole:
 
 
 def config_of(algorithm: str, overrides: Sequence[str] = ()) -> AnyAlgorithmConfig:
+    """Config of an algorithm for this task."""
     return compose_config([f"algorithm={algorithm}", *OVERRIDES[algorithm], *overrides]).algorithm
 
 
 def network(seed: int) -> ActorCritic:
+    """A freshly initialised policy for CartPole."""
     encoder = nn.Sequential(mlp((4, WIDTH)), nn.ReLU())
     return ActorCritic(encoder, WIDTH, (WIDTH,), 2, torch.float32, generator(seed, "weights"))
 
 
 def train(config: AnyAlgorithmConfig, n_iterations: int, seed: int) -> tuple[ActorCritic, pd.DataFrame]:
-    """The final policy, and a row per episode of the training: its return, and the steps of all carts until then."""
+    """The final policy, and a table of the training's episodes: return, and steps of all carts up to its iteration."""
     policy, actions = network(seed), generator(seed, "actions")
     learner = Learner(policy, config, generator(seed, "updates"))
     env = CartPole(config.n_worlds, generator(seed, "training starts").initial_seed())
@@ -134,7 +137,7 @@ def train(config: AnyAlgorithmConfig, n_iterations: int, seed: int) -> tuple[Act
 
 @torch.no_grad()
 def play(policy: ActorCritic, choose: Callable[[Tensor], Tensor], seed: int) -> float:
-    """Mean return of one episode of each of N_EPISODES carts; `choose` makes actions [E] of logits [E, 2]."""
+    """Mean return of one episode in each of N_EPISODES worlds; `choose` maps logits [E, 2] to actions [E]."""
     env = CartPole(N_EPISODES, generator(seed, "evaluation starts").initial_seed())
     returns, is_first = torch.zeros(N_EPISODES), torch.ones(N_EPISODES, dtype=torch.bool)
     while is_first.any():
@@ -145,7 +148,7 @@ def play(policy: ActorCritic, choose: Callable[[Tensor], Tensor], seed: int) -> 
 
 
 def row(config: AnyAlgorithmConfig, n_iterations: int, seed: int) -> dict[str, float]:
-    """One seed's line of the table, keys as in TABLE."""
+    """Row of one seed in the table, with the keys of TABLE."""
     started_s = time.perf_counter()
     policy, episodes = train(config, n_iterations, seed)
     seconds = time.perf_counter() - started_s
@@ -168,11 +171,11 @@ def seeds(text: str) -> list[int]:
 
 
 def command_line(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, AnyAlgorithmConfig]:
-    """The options, n_iterations among them, and the config."""
+    """The options, with n_iterations, and the config of the algorithm."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--algorithm", choices=OVERRIDES, default="acktr")
-    parser.add_argument("--seeds", type=seeds, default="1,2,3,4,5", help="of the trainings, with commas between them")
-    parser.add_argument("--steps", type=int, default=150_000, help="of a training at most, all carts together")
+    parser.add_argument("--seeds", type=seeds, default="1,2,3,4,5", help="seeds of the trainings, separated by commas")
+    parser.add_argument("--steps", type=int, default=150_000, help="most steps of a training, all carts together")
     parser.add_argument("--out", type=Path, help="CSV file for the table")
     parser.add_argument("overrides", nargs="*", help="algorithm.<key>=<value> or algorithm/<group>=<option>")
     options = parser.parse_intermixed_args(arguments)
@@ -190,7 +193,7 @@ def command_line(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, A
 
 def main(arguments: Sequence[str] | None = None) -> int:
     options, config = command_line(arguments)
-    torch.set_num_threads(1)  # with so small a network more would only wait for one another
+    torch.set_num_threads(1)  # a network this small does not gain from more
     table = pd.DataFrame([row(config, options.n_iterations, seed) for seed in options.seeds])
     print(table.round(1).to_string(index=False, float_format=lambda x: f"{x:.6g}"))
     n_solved = int((table["greedy"] >= SOLVED).sum())

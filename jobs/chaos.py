@@ -1,12 +1,14 @@
-"""Chaos: a sweep in parallel processes on one store, a fifth of its jobs killed with SIGKILL at random times, twice,
-and then the same command once more. Is every job finished exactly once, with the results of an undisturbed sweep?
+"""Chaos test: a sweep in parallel processes on one store, whose jobs are killed at random times.
+
+A fifth of the jobs is killed with SIGKILL, twice, and the same command is then given once more. Every job must be
+finished exactly once, with the results of an undisturbed sweep.
 
     python jobs/chaos.py                    # 100 jobs, about 20 minutes on 2 cores
     python jobs/chaos.py --jobs 12 --keep /tmp/chaos
 
 A job is the command line `python -m negopipe +experiment=smoke stages=[train] seed=<n>`, forked from a process that
-has imported everything, since a hundred interpreters would spend most of their time on that. Ends with code 1 if
-anything is not as it should be.
+has imported everything, since a hundred interpreters would spend most of their time on imports. The exit code is 1 if
+a check fails.
 """
 
 import argparse
@@ -36,6 +38,7 @@ DURATIONS = ("wall_s", "decisions_per_s", "tracking_share")
 
 
 def load_code() -> None:
+    """Import everything that a job needs, before the jobs are forked."""
     for module in ("negopipe.stages.train", "negopipe.config.root", "mlflow", "mlflow.store.tracking.sqlalchemy_store"):
         importlib.import_module(module)
     importlib.import_module("sqlalchemy.orm").configure_mappers()
@@ -61,9 +64,10 @@ def start(outputs: Path, seed: int) -> int:
 
 
 def sweep(outputs: Path, seeds: list[int], n_parallel: int, fates: dict[int, float]) -> tuple[Counter[str], float]:
-    """Run the jobs of all seeds; `fates` says after how many seconds which are killed.
+    """Run the jobs of all seeds.
 
-    Returns how they ended, and the mean seconds of a job that was not killed.
+    fates: seconds after which a job is killed, by its seed
+    Returns the numbers of jobs by their end, and the mean duration (s) of a job that succeeded.
     """
     outputs.mkdir(parents=True, exist_ok=True)
     waiting, running, took = list(seeds), dict[int, tuple[int, float]](), list[float]()
@@ -89,7 +93,7 @@ def sweep(outputs: Path, seeds: list[int], n_parallel: int, fates: dict[int, flo
 
 
 def results(outputs: Path) -> dict[str, str]:
-    """Hash by run of all that a job leaves: weights, learning curve and the store's metrics, durations aside."""
+    """Hash of the results of each run: weights, learning curve and metrics of the store, without durations."""
     found = {}
     with closing(sqlite3.connect(outputs / "mlflow" / "mlflow.db")) as connection:
         for name, run_id in connection.execute("SELECT name, run_uuid FROM runs").fetchall():
@@ -104,25 +108,26 @@ def results(outputs: Path) -> dict[str, str]:
 
 
 def statuses(outputs: Path) -> Counter[str]:
+    """Number of runs in the store by their status."""
     with closing(sqlite3.connect(outputs / "mlflow" / "mlflow.db")) as connection:
         return Counter(status for (status,) in connection.execute("SELECT status FROM runs"))
 
 
 def times_finished(outputs: Path) -> Counter[int]:
-    """Jobs by the number of times that they came to their end."""
+    """Number of jobs by how often each has finished."""
     journals = (outputs / "smoke").glob("*/journal.jsonl")
     return Counter(journal.read_text().count('"status": "FINISHED"') for journal in journals)
 
 
 def main(n_jobs: int, killed_share: float, n_parallel: int, folder: Path, seed: int) -> int:
-    seeds, chance = list(range(n_jobs)), random.Random(seed)
+    seeds, generator = list(range(n_jobs)), random.Random(seed)
     print(f"undisturbed: {n_jobs} jobs, {n_parallel} at a time")
     _, mean_s = sweep(folder / "undisturbed", seeds, n_parallel, {})
     outputs, n_killed = folder / "chaos", 0
-    victims = chance.sample(seeds, round(killed_share * n_jobs))
+    victims = generator.sample(seeds, round(killed_share * n_jobs))
     for attempt in (1, 2):
         print(f"disturbed, {attempt}: {len(victims)} jobs to be killed within {mean_s:.1f} s of their start")
-        ends, _ = sweep(outputs, seeds, n_parallel, {victim: chance.uniform(0.0, mean_s) for victim in victims})
+        ends, _ = sweep(outputs, seeds, n_parallel, {victim: generator.uniform(0.0, mean_s) for victim in victims})
         n_killed += ends["killed"]
         print(f"  {dict(ends)}; in the store {dict(statuses(outputs))}")
     print("the same command once more")
@@ -140,8 +145,8 @@ def main(n_jobs: int, killed_share: float, n_parallel: int, folder: Path, seed: 
         end="",
     )
     print(f"equal results {n_equal} of {n_jobs}")
-    for what, is_so in checks.items():
-        print(f"  {'yes' if is_so else 'NO '}  {what}")
+    for check, holds in checks.items():
+        print(f"  {'yes' if holds else 'NO '}  {check}")
     return 0 if all(checks.values()) else 1
 
 
@@ -151,7 +156,7 @@ if __name__ == "__main__":
     parser.add_argument("--killed", type=float, default=0.2, help="share of the jobs that is killed each time")
     parser.add_argument("--parallel", type=int, default=4, help="jobs at a time")
     parser.add_argument("--keep", type=Path, help="folder for the outputs; without it they are deleted")
-    parser.add_argument("--seed", type=int, default=0, help="of which jobs are killed when")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the kills")
     options = parser.parse_args()
     load_code()
     with tempfile.TemporaryDirectory() as scratch:

@@ -1,9 +1,9 @@
-"""How much of the regret is beyond what the first grid tells? python jobs/first_glance.py <oracle.csv>
+"""Regret to the oracle of drivers that see only the first grid: python jobs/first_glance.py <oracle.csv>
 
-The oracle has a sequence of horizons for each task, chosen in hindsight. A driver that only looks once must use one
-sequence for all tasks whose first grids are equal. Of the oracle's sequences of a setting, this picks the best one for
-each such group of tasks, and the best one for all tasks, and says what they lack to the oracle. A policy looks again
-at every decision, so it may do better than that; what it may hope for lies between the two and the oracle.
+The oracle has a sequence of horizons for each task, chosen in hindsight. A driver that sees only the first grid uses
+one sequence for all tasks whose first grids are equal. Among the oracle's sequences of a setting, the script selects
+the best one for each such group of tasks and the best one for all tasks, and prints their regret to the oracle. A
+policy sees a grid at every decision, so its regret may be lower.
 """
 
 import argparse
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from negopipe.envs.gymnasium import compose_config
+from negopipe import load_config
 from negopipe.evaluation.horizon_text import from_text
 from negopipe.game.game import Game, build_game, has_compiler
 from negopipe.runtime.backend import keep_freed_memory
@@ -25,7 +25,7 @@ from negopipe.tensors.tree import map_tensors
 
 
 def returns_of(rollouts: Rollouts, tasks: Task, actions: torch.Tensor) -> np.ndarray:
-    """[N, R] return of the sequences actions [R, T] in each of N tasks."""
+    """[N, R] float64: return of each of the sequences `actions` [R, T] in each of N tasks."""
     n_tasks, n_sequences = len(tasks), len(actions)
     each = map_tensors(lambda field: field.repeat_interleave(n_sequences, 0), tasks)
     any_score = torch.full((n_tasks * n_sequences,), -torch.inf, dtype=torch.float64)
@@ -33,13 +33,13 @@ def returns_of(rollouts: Rollouts, tasks: Task, actions: torch.Tensor) -> np.nda
 
 
 def actions_of(texts: Iterable[str], horizons_s: list[float], n_steps: int) -> torch.Tensor:
-    """[R, T] int64: indices into horizons_s, what comes after a sequence's end is of no meaning."""
+    """[R, T] int64: indices into horizons_s; those after the end of a sequence mean nothing."""
     rows = [[horizons_s.index(horizon_s) for horizon_s in from_text(text).tolist()] for text in texts]
     return torch.tensor([row + [0] * (n_steps - len(row)) for row in rows])
 
 
 def first_grids(game: Game, tasks: Task) -> np.ndarray:
-    """[N] int64: tasks with the same number begin with equal grids."""
+    """[N] int64: number of the first grid of each task; equal grids have equal numbers."""
     grids = game.see(game.simulator.reset(tasks)).flatten(1).numpy()
     return np.unique(grids, axis=0, return_inverse=True)[1]
 
@@ -47,7 +47,7 @@ def first_grids(game: Game, tasks: Task) -> np.ndarray:
 def main(path: Path, is_compiled: bool) -> None:
     torch.set_num_threads(1)
     table = read_oracle(str(path)).rows
-    config = compose_config([f"evaluation.n_episodes={table['episode'].max() + 1}"])
+    config = load_config(f"evaluation.n_episodes={table['episode'].max() + 1}")
     keep_freed_memory()
     game = build_game(config, is_compiled=is_compiled)
     rollouts = Rollouts(game, config.policy.horizons_s, config.evaluation.reward)

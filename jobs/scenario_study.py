@@ -1,16 +1,15 @@
-"""Compare the roads of jobs/scenario_study.sh and pick the default by the rule below.
+"""Comparison of the roads of jobs/scenario_study.sh, and the choice of the default road by the rule below.
 
     python jobs/scenario_study.py outputs/scenario_study
 
-The rule, written down before the first run: a road qualifies if
+The rule was written down before the first run. A road qualifies if
   1. every fixed horizon fails for some style of the mixture (success below 50 % of the tasks with that style), and
-  2. the oracle succeeds in at least 99 % of the mixture's tasks.
-Among those that qualify, the default is the one in which the best fixed horizon does worst (lowest success on the
-mixture); of several that tie there, the one in which the fixed horizons do worst on average, and of those that tie
-again, the one with the shortest corridor, then the shortest swerve. (A first run, under the paper's reward, had ended
-in a tie. The tie-break was added then, before the run under the strict reward, which is the one that counts.)
-No trained policy is looked at. Also said for each road: whether the paper's claim could hold there, that in yield no
-fixed horizon arrives in time although some sequence of horizons does.
+  2. the oracle succeeds in at least 99 % of the tasks of the mixture.
+The default is the qualified road on which the best fixed horizon has the lowest success on the mixture. Ties are broken
+by the lowest mean success of the fixed horizons, then by the shortest corridor, then by the shortest swerve. (The first
+run, under the paper's reward, ended in a tie. The tie-break was added then, before the run under the strict reward,
+which decides.) Trained policies play no part. The script also counts the roads on which the paper's claim could hold:
+in yield no fixed horizon arrives in time although some sequence of horizons does.
 """
 
 import argparse
@@ -30,7 +29,7 @@ FAILS_BELOW, ORACLE_AT_LEAST = 0.5, 0.99
 
 
 def road(folder: Path) -> dict[str, Any]:
-    """One row: what varies, and what the fixed horizons and the oracle reach."""
+    """Row of one road: its sizes, and the success of the fixed horizons and of the oracle."""
     scenario = yaml.safe_load((folder / "config.yaml").read_text())["scenario"]
     tasks = read_csv(folder / "oracle.csv", ORACLE_TABLE, NEEDED)
     mixture, yield_ = tasks[tasks["setting"] == "mixture"], tasks[tasks["setting"] == "yield"]
@@ -54,7 +53,7 @@ def road(folder: Path) -> dict[str, Any]:
 
 
 def main(study: Path) -> int:
-    """Print the table and the pick; 0, or 1 after a line that says what is wrong."""
+    """Print the table and the pick; returns 0, or 1 after a one-line error."""
     folders = sorted(path.parent for path in study.glob("*/oracle.csv"))
     if not folders:
         print(

@@ -1,7 +1,8 @@
-"""Put a trained policy among those that come with negopipe: python jobs/ship_policy.py <checkpoint> <name>
+"""Add a trained policy to those that come with negopipe: python jobs/ship_policy.py <checkpoint> <name>
 
-The encoder is rounded to bfloat16, which halves the file; a policy that was trained in bfloat16 computes with just
-these weights. Evaluate what was shipped, not what it was made from: +experiment=<name> checkpoint=pretrained.
+The weights of the encoder are rounded to bfloat16, which halves the file. A policy that was trained in bfloat16
+computes with exactly these weights. The shipped policy is the one to evaluate:
++experiment=<name> checkpoint=pretrained.
 """
 
 import argparse
@@ -14,7 +15,7 @@ from negopipe.tracking.checkpoint import load_checkpoint, save_checkpoint
 
 
 def ship(checkpoint: Path, name: str) -> Path:
-    """Keep a checkpoint in the package under a name; returns the file."""
+    """Write a checkpoint into the package under a name; returns its path."""
     tensors, metadata = load_checkpoint(checkpoint)
     rounded = {key: x.to(torch.bfloat16) if key.startswith("encoder.") else x for key, x in tensors.items()}
     path = pretrained.FOLDER / f"{name}.safetensors"
@@ -26,6 +27,6 @@ def ship(checkpoint: Path, name: str) -> Path:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint", type=Path, help="checkpoint.safetensors of a run")
-    parser.add_argument("name", help="of the experiment it is for: checkpoint=pretrained finds it by that")
+    parser.add_argument("name", help="name of its experiment, by which checkpoint=pretrained finds it")
     arguments = parser.parse_args()
     print(ship(arguments.checkpoint, arguments.name))

@@ -1,1 +1,1 @@
-"""Speed of the simulator, the planner and the training, and what bounds it."""
+"""Speed of the simulator, the planner and the training, and its physical limit."""

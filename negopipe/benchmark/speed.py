@@ -1,4 +1,4 @@
-"""How fast calls and machines are: medians, latencies, memory, and the two rates that other rates are held against."""
+"""Speed of calls and machines: medians, latencies, memory, and two reference rates of the machine."""
 
 import re
 import resource
@@ -18,8 +18,10 @@ from negopipe.tensors.timing import block_seconds
 Backend = Literal["eager", "compiled", "cuda_eager", "cuda"]
 
 MATRIX_SIDE = 2048
+"""Rows and columns of the matrices in the reference product."""
+
 COPY_FLOATS = 2**26
-"""256 MiB, larger than any cache."""
+"""Numbers in the reference copy: 256 MiB, larger than any cache."""
 
 
 @schema
@@ -49,7 +51,7 @@ class BenchmarkConfig:
 
 
 def seconds_per_call(call: Callable[[], Any], config: BenchmarkConfig, device: torch.device) -> float:
-    """Median over the repetitions, each a block of calls, so that what only some calls do (resets) counts too."""
+    """Duration of a call, s: median over blocks of calls, so that rare work (resets) counts too."""
     for _ in range(config.n_warmups):
         once = block_seconds(call, 1, device)
     n_calls = max(1, round(config.min_time_s / config.n_repetitions / once))
@@ -62,7 +64,7 @@ def seconds_per_call(call: Callable[[], Any], config: BenchmarkConfig, device: t
 def latency_percentiles_ms(
     call: Callable[[], Any], config: BenchmarkConfig, device: torch.device
 ) -> tuple[float, float]:
-    """Median and 99th percentile of single calls, ms."""
+    """Median and 99th percentile of the durations of single calls, ms."""
     for _ in range(config.n_warmups):
         call()
     latencies = torch.tensor([block_seconds(call, 1, device) for _ in range(config.n_latencies)])
@@ -78,14 +80,14 @@ def matmul_gflops(config: BenchmarkConfig, device: torch.device) -> float:
 
 
 def copy_gb_per_s(config: BenchmarkConfig, device: torch.device) -> float:
-    """Rate of a large plain copy, 1e9 bytes/s, read and written ones both counted."""
+    """Rate of a large plain copy, 1e9 bytes/s; bytes read and bytes written both count."""
     source = torch.rand(COPY_FLOATS, device=device)
     target = torch.empty_like(source)
     return 2 * 4 * COPY_FLOATS / seconds_per_call(lambda: target.copy_(source), config, device) / 1e9
 
 
 def peak_memory_mb(device: torch.device) -> float:
-    """1e6 bytes that were in use at most since the process began: of the process, or of tensors on a GPU."""
+    """Peak memory since the start of the process, 1e6 bytes: of the process, or of tensors on a GPU."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 1e6
     status = Path("/proc/self/status")

@@ -1,4 +1,4 @@
-"""The benchmark's figures of training: how fast it is, and what keeping a record of it costs."""
+"""Benchmark of training: its speed, and the cost of tracking it."""
 
 import tempfile
 import time
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 def measure_training(config: "RunConfig", place: Path) -> dict[str, float]:
-    """Train for `benchmark.n_iterations`, after one in which all is compiled, with a run and a store in `place`.
+    """Metrics of `benchmark.n_iterations` iterations, after one for compilation, with a run and a store in `place`.
 
-    train.decisions_per_s: of the iterations, the record of them left out
-    train.iteration_efficiency: of an iteration's time, noting it in the run's journal included, what bare passes of
-        the same network over its decisions take: one forward, and one forward and backward per epoch
-    train.tracking_share: of a whole training's time, what goes into telling the store, snapshots and checkpoints
+    train.decisions_per_s: speed of the iterations without tracking
+    train.iteration_efficiency: share of an iteration's time, its entry in the run's journal included, that bare passes
+        of the same network over its decisions take: one forward, and one forward and backward per epoch
+    train.tracking_share: share of a whole training's time that the store, snapshots and checkpoints take
     """
     training = Training(config)
     training.iterate()
@@ -46,9 +46,9 @@ def measure_training(config: "RunConfig", place: Path) -> dict[str, float]:
 
 
 def _measure(config: "RunConfig", training: Training, run: TrackedRun) -> tuple[float, float, float]:
-    """Seconds of an iteration, share of it that bare passes take, seconds of all that is recorded in a whole training.
+    """Duration of an iteration (s), share of it that bare passes take, duration of all tracking in a training (s).
 
-    Iterations and bare passes take turns, so that a slow moment of the machine hits both alike.
+    Iterations and bare passes alternate, so that a slow moment of the machine affects both.
     """
     device, shape = device_of(config), training.env.game.observation_shape
     bare = iteration_passes(training.policy, config.algorithm, shape, device)

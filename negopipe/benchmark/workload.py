@@ -1,7 +1,7 @@
-"""The work in one decision, and with that the physical limit: how many a machine could take at most.
+"""The work of one decision, and the physical limit of decisions per second that follows from it.
 
-Counted is what the planner and the grids do, fused into one pass: operations on single numbers, and only those bytes
-that must be read or written between two decisions. The network is not part of it.
+The count covers the planner and the grids, fused into one pass: operations on single numbers, and those bytes that must
+be read or written between two decisions. The network is not part of it.
 """
 
 from dataclasses import dataclass
@@ -35,16 +35,17 @@ _WORD_BITS = 28
 
 @dataclass(frozen=True)
 class Workload:
-    """Of one decision in one world.
+    """Work of one decision in one world.
 
-    flops: operations on single numbers; bytes: read and written
+    flops: operations on single numbers
+    bytes: bytes read and written
     """
 
     flops: float
     bytes: float
 
     def decisions_per_s(self, gflops: float, gb_per_s: float) -> float:
-        """What a machine of these two rates reaches at most, if it computes and moves bytes at the same time."""
+        """Upper bound for a machine with these two rates that computes and moves bytes at the same time."""
         return min(gflops * 1e9 / self.flops, gb_per_s * 1e9 / self.bytes)
 
 

@@ -1,1 +1,1 @@
-"""Doors for other people's code: gymnasium and Stable-Baselines3."""
+"""Interfaces for other libraries: gymnasium and Stable-Baselines3."""

@@ -10,13 +10,13 @@ or, where only gymnasium is to be called,
     env = gymnasium.make("negopipe/NarrowLane-v0", overrides=["scenario.n_social=2"])
     envs = gymnasium.make_vec("negopipe/NarrowLane-v0", num_envs=64, vectorization_mode="vector_entry_point")
 
-Observations are the occupancy grids, uint8, 0 = free and 255 = occupied, as image policies expect them; actions
-are indices into `policy.horizons_s`. Tasks are drawn from the families that `evaluation.settings` names. `overrides`
-are those of the command line that change one of these.
+Observations are the occupancy grids, uint8, 0 = free and 255 = occupied, as image policies expect them. Actions are
+indices into `policy.horizons_s`. Tasks are drawn from the families that `evaluation.settings` names. `overrides` are
+those of the command line that change one of these.
 
-An episode depends on overrides, seed and actions only, not on what the process has set in torch, NumPy or Hydra, and
-nothing of that is changed. Worlds are computed in one thread on the CPU, so environments may be built in forked
-processes. Copies and pickles hold the whole state and go on where the environment stands.
+An episode depends on overrides, seed and actions only, not on the process's settings of torch, NumPy or Hydra, which
+stay as they are. Worlds are computed in one thread on the CPU, so environments may be built in forked processes. Copies
+and pickles hold the whole state and continue from it.
 """
 
 from collections.abc import Sequence
@@ -40,16 +40,17 @@ from negopipe.tensors.torch_settings import own_settings
 
 ENV_ID = "negopipe/NarrowLane-v0"
 OCCUPIED = 255
+"""Value of an occupied cell in an observation."""
 RESET_MASK = "reset_mask"
-"""gymnasium's name of the option that says in which worlds `reset` starts a new task."""
+"""gymnasium's name of the option of `reset` that selects the worlds in which a new task starts."""
 
 KEYS = (
     *("scenario", "perception", "dynamics", "planner", "observation", "reward"),
     *("policy.horizons_s", "evaluation.settings"),
 )
-"""What an environment depends on."""
+"""Keys that an environment depends on."""
 GROUPS = ("policy", "evaluation", "experiment")
-"""Their options set some of these keys, and others."""
+"""Groups whose options set some of these keys, and others."""
 
 
 def make_env(overrides: Sequence[str] = (), render_mode: str | None = None) -> gymnasium.Env[np.ndarray, np.int64]:
@@ -66,7 +67,7 @@ def make_vec_env(
 ) -> gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
     """`num_envs` worlds in one batched program, `NarrowLaneVectorEnv`, made by `gymnasium.make_vec`.
 
-    overrides: as of `make_env`
+    overrides: as for `make_env`
     """
     return gymnasium.make_vec(ENV_ID, num_envs=num_envs, vectorization_mode="vector_entry_point", overrides=overrides)
 
@@ -77,7 +78,7 @@ def config_of(overrides: Sequence[str]) -> RunConfig:
     Other keys may be given where the config would not be valid without them.
     """
     if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides):
-        raise UserError(f"overrides must be a tuple of texts key=value, got {abbreviate(repr(overrides))}")
+        raise UserError(f"overrides must be a sequence of texts key=value, got {abbreviate(repr(overrides))}")
     config = compose_config(overrides)
     for index, override in enumerate(overrides):
         if not _is_acting(override) and _is_valid([*overrides[:index], *overrides[index + 1 :]]):
@@ -101,7 +102,7 @@ def _is_valid(overrides: Sequence[str]) -> bool:
 
 
 class _Worlds:
-    """What both environments have in common: worlds of a config, a stream of tasks, copies with all their state."""
+    """The common part of both environments: worlds of a config, a stream of tasks, copies with their whole state."""
 
     _config: RunConfig
     _worlds: NegotiationEnv
@@ -113,17 +114,17 @@ class _Worlds:
         self._worlds = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
 
     def _spaces(self) -> tuple[Box, Discrete]:
-        """Of one world."""
+        """Observation and action space of one world."""
         return Box(0, OCCUPIED, self._worlds.game.observation_shape, np.uint8), Discrete(self._worlds.n_actions)
 
     def _restart(self, random: np.random.Generator, is_chosen: torch.Tensor | None = None) -> np.ndarray:
-        """Start new tasks and return what is seen, [E, F, H, W]."""
+        """Start new tasks and return their observations, [E, F, H, W]."""
         self._worlds.sampler.generator.manual_seed(int(random.integers(2**62)))
         self._worlds.restart(is_chosen)
         return _grids(self._worlds.observe())
 
     def _drive(self, action: Any) -> Transition:
-        """A step by the actions [E]; UserError if they are none."""
+        """Transition by the actions [E]; UserError if they are no actions."""
         given = np.asarray(action)
         n_worlds, n_actions = self._worlds.n_worlds, self._worlds.n_actions
         has_shape = given.shape == (n_worlds,) or given.size == n_worlds == 1
@@ -134,7 +135,7 @@ class _Worlds:
 
     def __getstate__(self) -> dict[str, Any]:
         state = {name: tensor.numpy() for name, tensor in self._worlds.state_dict().items()}
-        return self.__dict__ | {"_worlds": (self._worlds.n_worlds, state)}  # its functions are made anew
+        return self.__dict__ | {"_worlds": (self._worlds.n_worlds, state)}  # functions cannot be pickled
 
     @own_settings()
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -147,7 +148,7 @@ class _Worlds:
 class NarrowLaneEnv(_Worlds, gymnasium.Env[np.ndarray, np.int64]):
     """One world. `info` at an episode's end holds `is_success` and `is_collision`.
 
-    overrides: of the command line, `("scenario.n_social=2",)`; UserError names one that is wrong or has no effect
+    overrides: those of the command line, `("scenario.n_social=2",)`; UserError names one that is wrong or has no effect
     render_mode: None, since nothing is drawn
     """
 
@@ -185,10 +186,10 @@ class NarrowLaneEnv(_Worlds, gymnasium.Env[np.ndarray, np.int64]):
 
 
 class NarrowLaneVectorEnv(_Worlds, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """Many worlds in one batched program; resets in the same step and hands over the final observation.
+    """E worlds in one batched program, with autoreset in the same step and final observations in `info`.
 
-    num_envs: how many worlds, E
-    overrides, render_mode: as of `NarrowLaneEnv`
+    num_envs: number of worlds, E
+    overrides, render_mode: as for `NarrowLaneEnv`
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -208,10 +209,10 @@ class NarrowLaneVectorEnv(_Worlds, gymnasium.vector.VectorEnv[np.ndarray, np.nda
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start new tasks everywhere; all worlds share one stream of tasks, so `seed` is one number.
+        """Start new tasks in all worlds, which share one stream of tasks, so that `seed` is one number.
 
-        options: `{"reset_mask": [E] bool array}` starts new tasks in those worlds only, the same as a reset of all
-            would start there; the others stay where they are, and draw their next tasks from the new stream
+        options: `{"reset_mask": [E] bool array}` starts new tasks in those worlds only, the same tasks as in a reset
+            of all. The others continue, and draw their next tasks from the new stream
         """
         if seed is not None and not isinstance(seed, int):
             raise UserError(f"seed must be one int for all worlds, got {_in_one_line(seed)}")
@@ -259,6 +260,7 @@ class NarrowLaneVectorEnv(_Worlds, gymnasium.vector.VectorEnv[np.ndarray, np.nda
 
 
 def _grids(observation: torch.Tensor) -> np.ndarray:
+    """Grids of 0 and 255 from grids of 0 and 1."""
     return (observation * OCCUPIED).numpy()
 
 

@@ -1,9 +1,9 @@
-"""Stable-Baselines3's door to a gymnasium vector environment; needs the extra `sb3`.
+"""A gymnasium vector environment as one of Stable-Baselines3; needs the extra `sb3`.
 
-from stable_baselines3 import PPO
-from negopipe.envs.gymnasium import NarrowLaneVectorEnv
+import negopipe
 from negopipe.envs.stable_baselines3 import Sb3VecEnv
-PPO("CnnPolicy", Sb3VecEnv(NarrowLaneVectorEnv(64)), seed=1).learn(100_000)
+from stable_baselines3 import PPO
+PPO("CnnPolicy", Sb3VecEnv(negopipe.make_vec_env(64)), seed=1).learn(100_000)
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,13 +19,13 @@ from negopipe.errors import UserError
 
 
 class Sb3VecEnv(VecEnv):
-    """The worlds of one vector environment, of which Stable-Baselines3 thinks as many environments.
+    """The worlds of one vector environment, as the environments of Stable-Baselines3.
 
-    They step together and share their attributes: what would change or call only some of them is refused. Where an
-    episode ends, its world's info holds `terminal_observation`, `TimeLimit.truncated` and what the environment says
-    of the episode, `is_success` and `is_collision`.
+    They step together and share their attributes, so a change or a call for some of them only is refused. At the end
+    of an episode, the info of its world holds `terminal_observation`, `TimeLimit.truncated`, and `is_success` and
+    `is_collision` from the environment.
 
-    envs: resets in the same step; UserError for one that does not
+    envs: a vector environment with autoreset in the same step; UserError for another
     """
 
     def __init__(self, envs: gymnasium.vector.VectorEnv) -> None:
@@ -42,7 +42,7 @@ class Sb3VecEnv(VecEnv):
         super().set_options(dict(options or {}))
 
     def reset(self) -> np.ndarray:
-        """[E, *obs]. The seed and the options that were set since the last reset are used now, once."""
+        """First observations [E, *obs]; the seed and the options that were set since the last reset are used once."""
         observation, info = self.envs.reset(seed=self._seeds[0], options=self._options[0] or None)
         self.reset_infos = [_of_world(info, world) for world in range(self.num_envs)]
         self._reset_seeds()
@@ -54,7 +54,7 @@ class Sb3VecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Observations [E, *obs], rewards [E] float32, which episodes are over [E] bool, and an info per world."""
+        """Observations [E, *obs], rewards [E] float32, whether an episode is over [E] bool, and an info per world."""
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)
         is_done = terminated | truncated
         infos = [(_at_the_end if is_done[world] else _of_world)(info, world) for world in range(self.num_envs)]
@@ -67,9 +67,9 @@ class Sb3VecEnv(VecEnv):
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The attribute of the vector environment for each world asked for; AttributeError if it has none.
+        """Attribute of the vector environment for each of the given worlds; AttributeError if it has none.
 
-        Of its spaces, `observation_space` and `action_space`, it is that of a single world.
+        The spaces, `observation_space` and `action_space`, are those of a single world.
         """
         return [getattr(self.envs, self._name(attr_name))] * len(self._worlds(indices))
 
@@ -79,12 +79,12 @@ class Sb3VecEnv(VecEnv):
         setattr(self.envs, self._name(attr_name), value)
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """What the vector environment's method returns, called once, for each world; UserError for some of them."""
+        """Result of one call of the vector environment's method, for each world; UserError for some worlds only."""
         worlds = self._all_worlds("env_method", indices)
         return [getattr(self.envs, method_name)(*args, **kwargs)] * len(worlds)
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """False for each world asked for: none is an environment that something could wrap."""
+        """False for each of the given worlds: a world is no environment that could be wrapped."""
         return [False] * len(self._worlds(indices))
 
     def _name(self, attribute: str) -> str:
@@ -105,7 +105,7 @@ class Sb3VecEnv(VecEnv):
 
 
 def _of_world(info: Mapping[str, Any], world: int) -> dict[str, Any]:
-    """What gymnasium's info of all worlds holds of one: each name stands beside a mask of the same name."""
+    """Info of one world from gymnasium's info of all, in which each name has a mask of the same name."""
     return {name: info[name][world] for name in info if f"_{name}" in info and info[f"_{name}"][world]}
 
 

@@ -137,8 +137,8 @@ def test_overrides_that_others_need_are_taken() -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ("scenario.n_social=2", "overrides must be a tuple of texts key=value, got 'scenario.n_social=2'"),
-        ((5,), r"overrides must be a tuple of texts key=value, got \(5,\)"),
+        ("scenario.n_social=2", "overrides must be a sequence of texts key=value, got 'scenario.n_social=2'"),
+        ((5,), r"overrides must be a sequence of texts key=value, got \(5,\)"),
         (("scenario.n_socials=2",), "scenario.n_socials is not a known key, did you mean n_social?"),
         (("planner=none",), "planner must be one of frenet, got none"),
     ],
