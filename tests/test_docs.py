@@ -22,7 +22,6 @@ from documented import (
     unsupported,
 )
 
-import negopipe
 from negopipe.config.compose import compose_config
 
 DOCS = ROOT / "docs"
@@ -119,7 +118,6 @@ def test_a_wrong_figure_is_found() -> None:
         assert len(unsupported(Results(table.sources, table.header, rows, table.where))) == 1
 
 
-@pytest.mark.skipif(not hasattr(negopipe, "make_vec_env"), reason="there is no public face yet")
 @pytest.mark.parametrize(("page", "program"), PROGRAMS, ids=[named(page) for page, _ in PROGRAMS])
 def test_python_of_a_page_runs(page: Path, program: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks that import something; others are excerpts."""

@@ -126,6 +126,9 @@ def _renaming(error: Exception, cause: BaseException | None) -> str | None:
 
 def _unreadable(error: OverrideParseException) -> str:
     override = str(error.override)
+    if _is_not_unicode(override):
+        key, _, value = override.partition("=")
+        return f"{abbreviate(key)} {_UNREADABLE}, got {abbreviate(value)}"
     quoted = as_text(override)
     return f"{abbreviate(override)} cannot be read: {str(error).splitlines()[0]}{f', try {quoted}' if quoted else ''}"
 
