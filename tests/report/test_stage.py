@@ -245,7 +245,8 @@ def test_a_missing_file_names_the_stage_to_run(run: RecordedRun, name: str) -> N
 
 
 def test_a_planner_that_was_not_evaluated_is_named(run: RecordedRun) -> None:
-    with pytest.raises(UserError, match=r"planner fixed_3, but traces\.npz holds only: adaptive, fixed_0, fixed_6"):
+    named = r"must name planners of traces\.npz \(adaptive, fixed_0, fixed_6\), got fixed_3"
+    with pytest.raises(UserError, match=named):
         report.run(Config(side_by_side=("fixed_3",)), run)
 
 
