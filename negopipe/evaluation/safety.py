@@ -35,7 +35,8 @@ def smallest_ttc(trace: Trace, boxes: Boxes) -> np.ndarray:
     speed = torch.from_numpy(trace.speed_mps).double()
     velocity = torch.stack([speed * boxes.cos, speed * boxes.sin], -1)
     ego, social = agents(boxes, EGO, EGO + 1), agents(boxes, EGO + 1, None)
-    ttc = time_to_collision(ego, social, velocity[:, :, EGO + 1 :] - velocity[:, :, EGO : EGO + 1])
+    closing = velocity[:, :, EGO + 1 :] - velocity[:, :, EGO : EGO + 1]
+    ttc = time_to_collision(ego, social, *closing.unbind(-1))
     ttc = torch.where(torch.from_numpy(is_driven)[..., None], ttc, torch.inf)
     smallest = ttc.amin((0, 2)).numpy()
     return np.where(np.isfinite(smallest), smallest, np.nan)

@@ -20,10 +20,14 @@ from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, 
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import VehicleState
+from negopipe.tensors.materialize import materialize
 from negopipe.tensors.tree import tree_where
 
 PIECE_S = 0.05
 """Longest piece of a motion between two control steps, s."""
+
+KERB_PIECE_S = 0.1
+"""Longest time between two checks against the kerbs, s: at 8 m/s2 a motion leaves its chord by 1 cm in that time."""
 
 GRAZE_M = 0.01
 """Depth of an overlap that counts as a graze, m: at 8 m/s2 the line of a piece and the cubic are half as far apart."""
@@ -33,11 +37,15 @@ PASSING_M = 0.3
 
 
 class _Poses(NamedTuple):
-    """Poses between two control steps, fields [E, V, N + 1], m and rad, world frame."""
+    """Poses of V vehicles in E worlds and their speeds, fields [..., V, E], m, rad and m/s, world frame.
+
+    E is the last axis, so that computations per world run on vector units.
+    """
 
     x: Tensor
     y: Tensor
     yaw: Tensor
+    speed: Tensor
 
 
 class CollisionCheck:
@@ -50,34 +58,32 @@ class CollisionCheck:
         self.road, self.vehicle, self.dt_s = road, vehicle, dt_s
         self._others = others
         self._n_pieces = math.ceil(dt_s / PIECE_S - 1e-9)
-        self._share = torch.linspace(0, 1, self._n_pieces + 1, device=others.device)
+        self._share = torch.linspace(0, 1, self._n_pieces + 1, device=others.device)[:, None, None]
+        n_kerb = math.ceil(dt_s / KERB_PIECE_S - 1e-9)
+        self._kerb_share = torch.linspace(0, 1, n_kerb + 1, device=others.device)[1:-1, None, None]
         self._along = vehicle.length_m * torch.tensor([-1.0, -0.5, 0.0, 0.5, 1.0], device=others.device)
         self._radius_m = math.hypot(vehicle.length_m, vehicle.width_m) / 2
 
     def touches(self, vehicles: VehicleState) -> Tensor:
         """[E, V] bool: the footprint touches another vehicle, a parked car or a kerb."""
-        boxes = self._footprints(vehicles)
-        own = _fields(boxes, lambda field: field[..., None])
-        others = _fields(boxes, lambda field: field[:, self._others])
-        hits_parked = (overlap_depth(own, self.road.parked_boxes()) > 0).any(-1)
-        return (overlap_depth(own, others) > 0).any(-1) | hits_parked | self.road.is_off_road(boxes)
+        (poses,) = _worlds_last(vehicles)
+        return self._touches(poses).transpose(0, 1)
 
     def first_contact(self, before: VehicleState, after: VehicleState) -> Tensor:
         """[E, V] float32: share of the control step from `before` to `after` at which a vehicle touches something.
 
         It is 1 for a vehicle in contact at the end of the step, whatever happened before, and inf without a contact.
         """
-        poses = self._interpolate(before, after)
-        contact = torch.minimum(self._hit(poses), self._off_road(poses))
-        return torch.where(self.touches(after), 1.0, contact)
+        start, end = _worlds_last(before, after)
+        contact = torch.minimum(self._hit(self._interpolate(start, end, self._share)), self._off_road(start, end))
+        return torch.where(self._touches(end), 1.0, contact).transpose(0, 1)
 
     def moved_until(self, share: Tensor, before: VehicleState, after: VehicleState) -> VehicleState:
         """The state `after` [E, V]; where `share` [E, V] is below 1, the state at that share of the step instead."""
-        poses = self._interpolate(before, after, share[..., None].clamp(max=1.0))
-        speed = before.speed + (after.speed - before.speed) * share
-        stopped = replace(
-            after, position=torch.cat([poses.x, poses.y], -1), yaw=wrap_angle(poses.yaw[..., 0]), speed=speed
-        )
+        start, end = _worlds_last(before, after)
+        poses = self._interpolate(start, end, share.transpose(0, 1).clamp(max=1.0))
+        x, y, yaw, speed = (field.transpose(0, 1) for field in poses)
+        stopped = replace(after, position=torch.stack([x, y], -1), yaw=wrap_angle(yaw), speed=speed)
         return tree_where(share < 1, stopped, after)
 
     def stands_on_route(self, vehicles: VehicleState, direction: Tensor) -> Tensor:
@@ -91,42 +97,58 @@ class CollisionCheck:
         standing = _fields(self._footprints(vehicles), lambda field: field[..., None])
         return (overlap_depth(route, standing) > 0).any(-1)
 
-    def _interpolate(self, before: VehicleState, after: VehicleState, share: Tensor | None = None) -> _Poses:
-        """Poses at the shares [..., K] of the step; None = at the ends of its pieces.
+    def _interpolate(self, start: _Poses, end: _Poses, share: Tensor) -> _Poses:
+        """Poses at the shares [..., V, E] of the step between poses [V, E].
 
         The positions lie on a cubic Hermite curve. One whose end tangents are no longer than three times its chord
         moves forward all along (Fritsch & Carlson 1980).
         """
-        t = self._share if share is None else share
-        limit = 3 * (after.position - before.position).norm(dim=-1)
-        start_tangent, end_tangent = _tangent(before, self.dt_s, limit), _tangent(after, self.dt_s, limit)
+        t = share
+        limit = 3 * torch.sqrt((end.x - start.x) ** 2 + (end.y - start.y) ** 2)
+        (start_x, start_y), (end_x, end_y) = (_tangent(poses, self.dt_s, limit) for poses in (start, end))
         h01, h10, h11 = t * t * (3 - 2 * t), t * (1 - t) * (1 - t), t * t * (t - 1)  # the Hermite basis
-        start, end = before.position[..., None], after.position[..., None]
-        place = start + h01[..., None, :] * (end - start)
-        place = place + h10[..., None, :] * start_tangent[..., None] + h11[..., None, :] * end_tangent[..., None]
-        yaw = before.yaw[..., None] + t * wrap_angle(after.yaw - before.yaw)[..., None]
-        return _Poses(place[..., 0, :], place[..., 1, :], yaw)
+        return _Poses(
+            start.x + h01 * (end.x - start.x) + h10 * start_x + h11 * end_x,
+            start.y + h01 * (end.y - start.y) + h10 * start_y + h11 * end_y,
+            start.yaw + t * wrap_angle(end.yaw - start.yaw),
+            start.speed + t * (end.speed - start.speed),
+        )
+
+    def _touches(self, poses: _Poses) -> Tensor:
+        """[V, E] bool: the footprint touches another vehicle, a parked car or a kerb."""
+        boxes = self._boxes(poses.x, poses.y, poses.yaw)
+        own = _fields(boxes, lambda field: field[:, None])  # [V, 1, E]
+        others = _fields(boxes, lambda field: field[self._others])  # [V, O, E]
+        with_others, with_parked = overlap_depth(own, others), overlap_depth(own, self._parked())
+        return (torch.cat([with_others, with_parked], 1).amax(1) > 0) | self.road.is_off_road(boxes)
 
     def _hit(self, poses: _Poses) -> Tensor:
-        """[E, V] share of the step at which a vehicle hits another or a parked car; inf where it never does."""
-        turn = poses.yaw.diff(dim=-1)  # [E, V, N]
+        """[V, E] share of the step at which a vehicle hits another or a parked car; inf where it never does."""
+        turn = poses.yaw.diff(dim=0)  # [N, V, E]
         graze = GRAZE_M + self._radius_m * turn.abs() / 2
-        boxes = self._boxes(poses.x[..., :-1], poses.y[..., :-1], poses.yaw[..., :-1] + turn / 2)
+        boxes = self._boxes(poses.x[:-1], poses.y[:-1], poses.yaw[:-1] + turn / 2)
         boxes = boxes._replace(half_length=boxes.half_length - graze, half_width=boxes.half_width - graze)
-        step = torch.stack([poses.x.diff(dim=-1), poses.y.diff(dim=-1)], -1)  # [E, V, N, 2]
-        own = _fields(boxes, lambda field: field[..., None])  # [E, V, N, 1]
-        others = _fields(boxes, lambda field: field[:, self._others].transpose(2, 3))  # [E, V, N, O]
-        closing = step[:, self._others].transpose(2, 3) - step[..., None, :]
-        with_others = time_to_collision(own, others, closing)
-        with_parked = time_to_collision(own, self.road.parked_boxes(), -step[..., None, :])
-        within = torch.cat([with_others, with_parked], -1).amin(-1)  # of a piece
-        piece = torch.arange(self._n_pieces, device=within.device)
-        return torch.where(within < 1, (piece + within) / self._n_pieces, torch.inf).amin(-1)
+        step_x, step_y = poses.x.diff(dim=0), poses.y.diff(dim=0)
+        own = _fields(boxes, lambda field: field[:, :, None])  # [N, V, 1, E]
+        others = _fields(boxes, lambda field: field[:, self._others])  # [N, V, O, E]
+        closing = (step[:, self._others] - step[:, :, None] for step in (step_x, step_y))
+        with_others = time_to_collision(own, others, *closing)
+        with_parked = time_to_collision(own, self._parked(), -step_x[:, :, None], -step_y[:, :, None])
+        within = torch.minimum(with_others.amin(2), with_parked.amin(2))  # of a piece
+        piece = torch.arange(self._n_pieces, device=within.device)[:, None, None]
+        return torch.where(within < 1, (piece + within) / self._n_pieces, torch.inf).amin(0)
 
-    def _off_road(self, poses: _Poses) -> Tensor:
-        """[E, V] share of the step at the end of the first piece that ends off the road; inf where none does."""
+    def _off_road(self, start: _Poses, end: _Poses) -> Tensor:
+        """[V, E] first share of the step, among the ends of its pieces but the last, off the road; inf where none is."""
+        if len(self._kerb_share) == 0:
+            return torch.full_like(start.x, torch.inf)
+        poses = self._interpolate(start, end, self._kerb_share)
         is_off = self.road.is_off_road(self._boxes(poses.x, poses.y, poses.yaw))
-        return torch.where(is_off, self._share, torch.inf).amin(-1)
+        return torch.where(is_off, self._kerb_share, torch.inf).amin(0)
+
+    def _parked(self) -> Boxes:
+        """Parked cars, fields [P, 1]."""
+        return _fields(self.road.parked_boxes(), lambda field: field[:, None])
 
     def _footprints(self, vehicles: VehicleState) -> Boxes:
         x, y = vehicles.position.unbind(-1)
@@ -136,10 +158,17 @@ class CollisionCheck:
         return boxes_from_pose(x, y, yaw, self.vehicle.length_m, self.vehicle.width_m)
 
 
-def _tangent(state: VehicleState, duration_s: float, limit_m: Tensor) -> Tensor:
-    """[E, V, 2] m: displacement in `duration_s` at the present velocity, `limit_m` [E, V] at most."""
-    distance = (state.speed * duration_s).minimum(limit_m)
-    return torch.stack([distance * torch.cos(state.yaw), distance * torch.sin(state.yaw)], -1)
+def _worlds_last(*states: VehicleState) -> list[_Poses]:
+    """The states [E, V] with E as the last axis."""
+    fields = [(*state.position.unbind(-1), state.yaw, state.speed) for state in states]
+    rows = materialize(*(field.transpose(0, 1) for state in fields for field in state))
+    return [_Poses(*rows[i : i + 4]) for i in range(0, len(rows), 4)]
+
+
+def _tangent(poses: _Poses, duration_s: float, limit_m: Tensor) -> tuple[Tensor, Tensor]:
+    """x and y [V, E] of the displacement in `duration_s` at the present velocity, `limit_m` [V, E] at most; m."""
+    distance = (poses.speed * duration_s).minimum(limit_m)
+    return distance * torch.cos(poses.yaw), distance * torch.sin(poses.yaw)
 
 
 def _fields(boxes: Boxes, fn: Callable[[Tensor], Tensor]) -> Boxes:

@@ -45,8 +45,8 @@ def overlap_depth(a: Boxes, b: Boxes) -> Tensor:
     return torch.minimum(torch.minimum(along_a, across_a), torch.minimum(along_b, across_b))
 
 
-def time_to_collision(a: Boxes, b: Boxes, velocity: Tensor) -> Tensor:
-    """[...] s until the rectangles overlap, where b moves at `velocity` [..., 2] (m/s) relative to a, without a turn.
+def time_to_collision(a: Boxes, b: Boxes, velocity_x: Tensor, velocity_y: Tensor) -> Tensor:
+    """[...] s until the rectangles overlap, where b moves at a velocity (m/s) relative to a, without a turn.
 
     It is 0 where they overlap already and inf where they never will.
 
@@ -57,13 +57,14 @@ def time_to_collision(a: Boxes, b: Boxes, velocity: Tensor) -> Tensor:
     for axis in (a, b):
         for cos, sin in ((axis.cos, axis.sin), (-axis.sin, axis.cos)):
             apart = (b.x - a.x) * cos + (b.y - a.y) * sin
-            closing = velocity[..., 0] * cos + velocity[..., 1] * sin
+            closing = velocity_x * cos + velocity_y * sin
             reach = _extent(a, cos, sin) + _extent(b, cos, sin)
             moves = closing.abs() > 1e-9
-            bounds = torch.stack([-reach - apart, reach - apart]) / torch.where(moves, closing, 1.0)
+            per_closing = 1 / torch.where(moves, closing, 1.0)
+            one, two = (-reach - apart) * per_closing, (reach - apart) * per_closing
             never = torch.where(apart.abs() < reach, -torch.inf, torch.inf)
-            first = torch.maximum(first, torch.where(moves, bounds.amin(0), never))
-            last = torch.minimum(last, torch.where(moves, bounds.amax(0), torch.inf))
+            first = torch.maximum(first, torch.where(moves, torch.minimum(one, two), never))
+            last = torch.minimum(last, torch.where(moves, torch.maximum(one, two), torch.inf))
     return torch.where(first < last, first, torch.inf)
 
 

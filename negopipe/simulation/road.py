@@ -116,7 +116,7 @@ class Road:
             reach = boxes.half_length * boxes.sin.abs() + boxes.half_width * boxes.cos.abs()
             return boxes.y.abs() + reach > half_road
         x, y = _rim(boxes)
-        return (self.reference.project(x, y)[1].abs() > half_road).any(-1)
+        return self.reference.project(x, y)[1].abs().amax(0) > half_road
 
     def route_offset(self, s: Tensor, direction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Offset d (m) of the route at s [...], with d' (1) and d'' (1/m) by s: own lane, corridor, own lane.
@@ -268,10 +268,9 @@ def _park(config: RoadConfig) -> Tensor:
 
 
 def _rim(boxes: Boxes) -> tuple[Tensor, Tensor]:
-    """Positions x, y [..., 6] (m) of the corners and of the middles of the long sides."""
-    ahead = torch.tensor([1.0, 0.0, -1.0, 1.0, 0.0, -1.0], device=boxes.x.device)
-    left = torch.tensor([1.0, 1.0, 1.0, -1.0, -1.0, -1.0], device=boxes.x.device)
-    half_length, half_width = (torch.as_tensor(half)[..., None] for half in (boxes.half_length, boxes.half_width))
-    u, v = ahead * half_length, left * half_width
-    cos, sin = boxes.cos[..., None], boxes.sin[..., None]
-    return boxes.x[..., None] + u * cos - v * sin, boxes.y[..., None] + u * sin + v * cos
+    """Positions x, y [6, ...] (m) of the corners and of the middles of the long sides."""
+    points = [(ahead, left) for left in (1.0, -1.0) for ahead in (1.0, 0.0, -1.0)]
+    offsets = [(ahead * boxes.half_length, left * boxes.half_width) for ahead, left in points]
+    x = torch.stack([boxes.x + u * boxes.cos - v * boxes.sin for u, v in offsets])
+    y = torch.stack([boxes.y + u * boxes.sin + v * boxes.cos for u, v in offsets])
+    return x, y

@@ -89,8 +89,8 @@ def test_time_to_collision_by_hand(
     x: float, y: float, yaw: float, velocity: tuple[float, float], seconds: float
 ) -> None:
     moving = torch.tensor(velocity, dtype=torch.float64)
-    assert time_to_collision(box(0, 0, 0), box(x, y, yaw), moving).item() == pytest.approx(seconds)
-    assert time_to_collision(box(x, y, yaw), box(0, 0, 0), -moving).item() == pytest.approx(seconds)
+    assert time_to_collision(box(0, 0, 0), box(x, y, yaw), *moving.unbind(-1)).item() == pytest.approx(seconds)
+    assert time_to_collision(box(x, y, yaw), box(0, 0, 0), *(-moving).unbind(-1)).item() == pytest.approx(seconds)
 
 
 def test_time_to_collision_agrees_with_trying_out() -> None:
@@ -99,7 +99,7 @@ def test_time_to_collision_agrees_with_trying_out() -> None:
     x, y, yaw = (torch.from_numpy(random.uniform(-r, r, n)) for r in (15, 15, math.pi))
     velocity = torch.from_numpy(random.uniform(-4, 4, (n, 2)))
     own = boxes_from_pose(*torch.from_numpy(random.uniform(-1, 1, (3, n))), 4.0, 2.0)
-    found = time_to_collision(own, boxes_from_pose(x, y, yaw, 4.0, 2.0), velocity)
+    found = time_to_collision(own, boxes_from_pose(x, y, yaw, 4.0, 2.0), *velocity.unbind(-1))
     at = (part[:, None] + velocity[:, i : i + 1] * times for i, part in enumerate((x, y)))
     there = boxes_from_pose(*at, yaw[:, None].expand(-1, len(times)), 4.0, 2.0)
     here = own._replace(x=own.x[:, None], y=own.y[:, None], cos=own.cos[:, None], sin=own.sin[:, None])

@@ -50,7 +50,7 @@ def test_a_report_tells_the_commands_of_the_results_and_its_own(ready: StoreConf
         run.begin()
         made = provenance(7, run)
     assert made.command == "python -m negopipe\npython -m negopipe 'stages=[report]'"
-    assert made.seed == 7
+    assert made.seed == "7"
 
 
 def test_a_record_of_before_is_read_by_its_tag(tmp_path: Path) -> None:
