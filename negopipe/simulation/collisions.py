@@ -139,7 +139,7 @@ class CollisionCheck:
         return torch.where(within < 1, (piece + within) / self._n_pieces, torch.inf).amin(0)
 
     def _off_road(self, start: _Poses, end: _Poses) -> Tensor:
-        """[V, E] first share of the step, among the ends of its pieces but the last, off the road; inf where none is."""
+        """[V, E] first share of the step, at the ends of pieces but the last, off the road; inf where none is."""
         if len(self._kerb_share) == 0:
             return torch.full_like(start.x, torch.inf)
         poses = self._interpolate(start, end, self._kerb_share)
