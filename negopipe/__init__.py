@@ -12,8 +12,8 @@ The map, lowest first: a package imports only what stands above it here, and its
     simulation    the rules of the game: state, geometry, street, tasks, perception, dynamics, collisions, simulator
     planner       Frenet candidates, prediction of the others, the choice
     observation   occupancy grids
+    agents        who drives: planners with horizons, drivers by rule, policies; the population of social drivers
     game          one decision, the reward, task distributions by stages, batched worlds for a learner
-    agents        who drives: horizon drivers and the baselines that the policy is compared with
     tracking      a run's folder, checkpoints, CSV files, the store; sync: journal -> delivery -> MLflow
     evaluation    held-out tasks driven and recorded: episodes, metrics, safety, statistics, claims of the paper, replay
     search        the oracle: the best sequence of horizons, found with full knowledge of a task

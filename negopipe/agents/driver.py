@@ -15,7 +15,7 @@ from negopipe.simulation.state import Motion
 from negopipe.tensors.tree import map_tensors
 
 ChooseHorizon = Callable[[Perception], Tensor]
-"""Perception of one agent (S = 1) -> prediction horizon [E, 1] float32, s."""
+"""Perception of S agents -> prediction horizons [E, S] float32, s."""
 
 Plan = Callable[[Perception, Tensor], Motion]
 """Perception of S agents, prediction horizons [E, S] (s) -> Motion [E, S]: `FrenetPlanner.plan`."""
@@ -44,16 +44,16 @@ class HorizonDriver:
         return self.plan(perception, self.choose_horizon(perception))
 
 
-def own_style(perception: Perception) -> Tensor:
-    """Horizon of a social vehicle: its driving style."""
-    return perception.style_horizon
+def given_horizon(horizon: Tensor) -> ChooseHorizon:
+    """The horizons [E, S] (s) of one decision."""
+    return lambda perception: horizon
 
 
 def fixed_horizon(horizon_s: float) -> ChooseHorizon:
     """The same horizon at every decision."""
 
     def choose(perception: Perception) -> Tensor:
-        return torch.full_like(perception.style_horizon, horizon_s)
+        return torch.full_like(perception.desired_speed, horizon_s)
 
     return choose
 

@@ -9,15 +9,16 @@ from negopipe.simulation.road import Road, RouteState
 
 
 class Encounter(NamedTuple):
-    """Encounter of one agent with O others.
+    """Encounter of S agents with O others each.
 
     Places are those of the vehicles' centres, each on its own route, where s = 0 is the mouth of the corridor that the
     vehicle meets first.
 
-    own: RouteState [E, 1]
-    other_s, other_speed: [E, 1, O], m and m/s
-    apart_m: [E, 1, O], distance along the road; negative once they have passed each other
-    is_oncoming: [E, 1, O] bool, seen, driving the other way and not yet past by a vehicle's length
+    own: RouteState [E, S]
+    other_s, other_speed: [E, S, O], m and m/s
+    apart_m: [E, S, O], distance along the road; negative once they have passed each other
+    is_oncoming: [E, S, O] bool, seen, driving the other way and not yet past by a vehicle's length
+    is_ahead: [E, S, O] bool, seen, driving the same way and farther along
     """
 
     own: RouteState
@@ -25,10 +26,11 @@ class Encounter(NamedTuple):
     other_speed: Tensor
     apart_m: Tensor
     is_oncoming: Tensor
+    is_ahead: Tensor
 
 
 def encounter(road: Road, length_m: float, perception: Perception) -> Encounter:
-    """Encounter as one agent (S = 1) perceives it.
+    """Encounter as each agent perceives it.
 
     length_m: length of a vehicle
     """
@@ -38,4 +40,5 @@ def encounter(road: Road, length_m: float, perception: Perception) -> Encounter:
     apart = road.config.corridor_length_m - other.s - own.s[..., None]
     is_opposite = other_direction != perception.direction[..., None]
     is_oncoming = perception.is_seen & is_opposite & (apart > -length_m)
-    return Encounter(own, other.s, other.s_dot, apart, is_oncoming)
+    is_ahead = perception.is_seen & ~is_opposite & (other.s > own.s[..., None])
+    return Encounter(own, other.s, other.s_dot, apart, is_oncoming, is_ahead)

@@ -1,16 +1,19 @@
 """Horizon choices of the ego: by the trained policy, or from a sequence that was found beforehand."""
 
 from itertools import count
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from negopipe.agents.driver import ChooseHorizon, HorizonDriver, MakeDriver
-from negopipe.game.game import Game
 from negopipe.policy.actor_critic import ActorCritic, greedy_action
 from negopipe.simulation.perception import Perception
 from negopipe.tensors.chunked import ChunkedFunction
 from negopipe.tensors.stateless_rng import mix, uniform
+
+if TYPE_CHECKING:
+    from negopipe.game.game import Game
 
 ACTIONS = 0x5A17
 """Offset of the key from which actions are drawn, apart from the other draws of an episode."""
@@ -18,13 +21,13 @@ BATCH = 64
 """Grids per call of the network; constant, since the last bits of its output may depend on the number."""
 
 
-def by_horizon(game: Game, choose_horizon: ChooseHorizon) -> MakeDriver:
+def by_horizon(game: "Game", choose_horizon: ChooseHorizon) -> MakeDriver:
     """Driver with the horizons of `choose_horizon`, the same for all episodes."""
     return lambda episode_key: HorizonDriver(choose_horizon, game.plan)
 
 
 def adaptive_planner(
-    policy: ActorCritic, game: Game, horizons_s: tuple[float, ...], episode_key: Tensor | None = None
+    policy: ActorCritic, game: "Game", horizons_s: tuple[float, ...], episode_key: Tensor | None = None
 ) -> ChooseHorizon:
     """The trained policy: the most probable horizon for the grids.
 
@@ -38,14 +41,17 @@ def adaptive_planner(
     @torch.no_grad()
     def choose(perception: Perception) -> Tensor:
         logits = logits_of(game.draw(perception))
-        action = greedy_action(logits) if episode_key is None else _drawn(logits, episode_key, next(decisions))
+        action = greedy_action(logits) if episode_key is None else drawn_action(logits, episode_key, next(decisions))
         return horizons[action][:, None]
 
     return choose
 
 
-def _drawn(logits: Tensor, episode_key: Tensor, decision: int) -> Tensor:
-    """[E] int64: actions drawn by inversion of the cumulative probabilities."""
+def drawn_action(logits: Tensor, episode_key: Tensor, decision: Tensor | int) -> Tensor:
+    """[E] int64: actions drawn by inversion of the cumulative probabilities.
+
+    decision: number of the decision in the episode, one for all or [E] int64
+    """
     threshold = uniform(mix(mix(episode_key) + ACTIONS), decision)
     until = logits.float().softmax(-1).cumsum(-1)
     return (threshold[:, None] > until).sum(-1).clamp(max=logits.shape[-1] - 1)

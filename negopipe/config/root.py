@@ -10,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field, TypeAdapter, ValidationError
 
+from negopipe.agents.population import PopulationConfig
 from negopipe.benchmark.speed import BenchmarkConfig
 from negopipe.checks import Memory, Problem
 from negopipe.config.messages import explain_composition, explain_validation, misread
@@ -65,6 +66,7 @@ class RunConfig:
     n_threads: PositiveInt | Literal["auto"]
     compile: Literal["auto", "on", "off"]
     scenario: ScenarioConfig
+    population: PopulationConfig
     perception: PerceptionConfig
     dynamics: DynamicsConfig
     planner: PlannerConfig
@@ -150,6 +152,8 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
     yield from config.dynamics.check(dt_s)
     yield from check_policy(config.policy, config.observation.n_cells, dt_s, plan_s)
     yield from scenario.check(plan_s)
+    yield from config.population.check(dt_s, plan_s)
+    yield from config.population.check_self(stages)
     yield from config.curriculum.check(dt_s, plan_s)
     yield from evaluation.check(scenario, plan_s)
     driven = set(evaluation.settings)

@@ -109,7 +109,7 @@ class _Worlds:
 
     def _set_up(self, config: RunConfig, n_worlds: int) -> None:
         game = build_game(config)
-        sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator())
+        sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator(), game.cast.assign)
         self._config = config
         self._worlds = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
 

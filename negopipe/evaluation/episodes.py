@@ -8,8 +8,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.agents.baselines import BaselineConfig
-from negopipe.agents.driver import Driver, HorizonDriver, MakeDriver, drive_together, own_style
+from negopipe.agents.driver import Driver, HorizonDriver, MakeDriver, drive_together, given_horizon
+from negopipe.agents.drivers import BaselineConfig
 from negopipe.checks import Memory, Problem, check_names
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, ORACLE, OUTCOMES, Trace, trace_bytes
@@ -86,7 +86,7 @@ def drive_episodes(
     batches = [
         map_tensors(lambda field, i=first: field[i : i + n_worlds], tasks) for first in range(0, len(tasks), n_worlds)
     ]
-    parts = [_record(game, _drivers(game, make_ego, batch), batch, reward_config, is_lockstep) for batch in batches]
+    parts = [_record(game, make_ego(batch.noise_seed), batch, reward_config, is_lockstep) for batch in batches]
     joined = {name: np.concatenate([part[name] for part in parts], axis=EPISODE_AXIS[name]) for name in parts[0]}
     return Trace(planner=names[0], setting=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
 
@@ -94,17 +94,18 @@ def drive_episodes(
 def warm_up(game: Game, make_ego: MakeDriver, tasks: Task) -> None:
     """Make a first decision of all drivers in `tasks`, which compiles everything that driving needs."""
     world = game.simulator.reset(tasks)
-    game.step(world, drive_together(_drivers(game, make_ego, tasks), game.perceive(world)).state)
+    game.step(world, _motion(game, make_ego(tasks.noise_seed), world).state)
 
 
-def _drivers(game: Game, make_ego: MakeDriver, tasks: Task) -> list[Driver]:
-    """Drivers of all agents, in their order."""
-    social = HorizonDriver(own_style, game.plan)
-    return [make_ego(tasks.noise_seed), *[social] * game.simulator.scenario.n_social]
+def _motion(game: Game, ego: Driver, world: World) -> Motion:
+    """Motion of all vehicles [E, V], the ego's by its driver."""
+    horizons = game.choose(world, torch.full_like(world.step, torch.nan, dtype=torch.float32))
+    social = [HorizonDriver(given_horizon(column), game.plan) for column in horizons.split(1, dim=1)[EGO + 1 :]]
+    return drive_together([ego, *social], game.perceive(world))
 
 
 def _record(
-    game: Game, drivers: list[Driver], tasks: Task, reward_config: RewardConfig, is_lockstep: bool
+    game: Game, ego: Driver, tasks: Task, reward_config: RewardConfig, is_lockstep: bool
 ) -> dict[str, np.ndarray]:
     """Fields of `Trace`."""
     world = game.simulator.reset(tasks)
@@ -114,7 +115,7 @@ def _record(
     is_success = is_collision = ~is_running
     for _ in range(game.simulator.scenario.episode_steps):
         which = everyone if is_lockstep else is_running.nonzero()[:, 0]
-        world, events, decision = _decide(game, drivers, world, which, is_running[which], reward_config)
+        world, events, decision = _decide(game, ego, world, which, is_running[which], reward_config)
         states.append(_state_row(game, world))
         decisions.append({name: _scatter(field, which, len(tasks)) for name, field in decision.items()})
         ended = map_tensors(lambda field, at=which: _scatter(field, at, len(tasks)), events)
@@ -138,14 +139,14 @@ def _record(
 
 
 def _decide(
-    game: Game, drivers: list[Driver], world: World, which: Tensor, is_running: Tensor, reward_config: RewardConfig
+    game: Game, ego: Driver, world: World, which: Tensor, is_running: Tensor, reward_config: RewardConfig
 ) -> tuple[World, Events, dict[str, Tensor]]:
     """One decision in the worlds `which` [R]; those that are not running [R] stay unchanged.
 
     Returns all worlds, and the events and the row of the decision of those R.
     """
     before = map_tensors(lambda field: field.index_select(0, which), world)
-    motion = drive_together(drivers, game.perceive(before))
+    motion = _motion(game, ego, before)
     moved, events = game.step(before, motion.state)
     moved = tree_where(is_running, moved, before)
     world = map_tensors(lambda field, new: field.index_copy(0, which, new), world, moved)

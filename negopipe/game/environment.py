@@ -45,7 +45,7 @@ class NegotiationEnv:
     def step(self, action: Tensor) -> Transition:
         """Drive every vehicle for one control step; `action` [E] int64 is the ego's."""
         world = self.world
-        moved, events, reached = self.game.advance(world, world.horizons(self._horizons[action]))
+        moved, events, reached = self.game.advance(world, self.game.choose(world, self._horizons[action]))
         which = (events.is_terminated | events.is_truncated).nonzero()[:, 0]
         final = self._start_again(moved, reached, which)
         return Transition(

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from negopipe import environment
+from negopipe.agents.population import Cast, PopulationConfig
 from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
 from negopipe.planner.frenet import FrenetPlanner, PlannerConfig
 from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
@@ -29,6 +30,9 @@ class GameConfig(Protocol):
     def scenario(self) -> ScenarioConfig: ...
 
     @property
+    def population(self) -> PopulationConfig: ...
+
+    @property
     def planner(self) -> PlannerConfig: ...
 
     @property
@@ -47,18 +51,23 @@ class Game:
 
     simulator: resets worlds and knows the road
     planner: the planner of `plan`
-    plan: Perception, horizon [E, S] (s) -> Motion [E, S]
+    cast: the drivers of the social vehicles
+    choose: World, horizon of the ego [E] (s) -> horizons [E, V] (s) of all vehicles
+    plan: Perception, horizon [E, S] (s) -> Motion [E, S], by the planner, or by the rule of an agent's driver
     perceive: World -> Perception of all vehicles
     step: World, VehicleState [E, V] -> World, Events
     draw: Perception of one agent -> [E, F, H, W] uint8 grids
     drive: World, horizon [E, V] (s) -> World, Events: perceive, plan and step in one call, for all vehicles
     advance: World, horizon [E, V] (s) -> World, Events, grids of the ego: `drive` and `see` in one call
     see: World -> [E, F, H, W] uint8 grids of the ego: perceive and draw in one call
+    see_as: World, vehicle [E] int64 -> [E, F, H, W] uint8 grids of that vehicle
     observation_shape: (F, H, W)
     """
 
     simulator: Simulator
     planner: FrenetPlanner
+    cast: Cast
+    choose: Callable[[World, Tensor], Tensor]
     plan: Callable[[Perception, Tensor], Motion]
     perceive: Callable[[World], Perception]
     step: Callable[[World, VehicleState], tuple[World, Events]]
@@ -66,6 +75,7 @@ class Game:
     drive: Callable[[World, Tensor], tuple[World, Events]]
     advance: Callable[[World, Tensor], tuple[World, Events, Tensor]]
     see: Callable[[World], Tensor]
+    see_as: Callable[[World, Tensor], Tensor]
     observation_shape: tuple[int, int, int]
 
 
@@ -75,11 +85,15 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     sensor = Sensor(config.perception, scenario.dt_s, history_steps(observation, scenario.dt_s))
     simulator = Simulator(scenario, sensor.memory_steps, build_dynamics(config.dynamics, scenario.dt_s), device)
     frenet = FrenetPlanner(config.planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
+    cast = Cast(config.population, simulator)
     grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)
     size = CHUNKS[torch.device(device).type]
 
+    def plan(perception: Perception, horizon: Tensor) -> Motion:
+        return cast.drive(perception, horizon, frenet.plan)
+
     def drive(world: World, horizon: Tensor) -> tuple[World, Events]:
-        return simulator.step(world, frenet.plan(sensor.perceive(world), horizon).state)
+        return simulator.step(world, plan(sensor.perceive(world), horizon).state)
 
     def advance(world: World, horizon: Tensor) -> tuple[World, Events, Tensor]:
         moved, events = drive(world, horizon)
@@ -88,19 +102,25 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     def see(world: World) -> Tensor:
         return grid.draw(sensor.perceive(world).of(EGO))
 
+    def see_as(world: World, vehicle: Tensor) -> Tensor:
+        return grid.draw(sensor.perceive(world).of_each(vehicle))
+
     def accelerate(fn: Callable) -> Callable:
         return ChunkedFunction(fn, size, _compile if is_compiled else None)
 
     return Game(
         simulator=simulator,
         planner=frenet,
-        plan=accelerate(frenet.plan),
+        cast=cast,
+        choose=World.horizons,
+        plan=accelerate(plan),
         perceive=sensor.perceive,
         step=accelerate(simulator.step),
         draw=accelerate(grid.draw),
         drive=accelerate(drive),
         advance=accelerate(advance),
         see=accelerate(see),
+        see_as=accelerate(see_as),
         observation_shape=grid.shape,
     )
 

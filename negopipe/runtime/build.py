@@ -9,6 +9,8 @@ import torch
 from pydantic import TypeAdapter, ValidationError
 from torch import Tensor
 
+from negopipe.agents.learned import Learned, with_policies
+from negopipe.agents.population import SelfDriver
 from negopipe.config.compose import load_config
 from negopipe.errors import UserError
 from negopipe.game.game import Game, build_game
@@ -36,21 +38,35 @@ _built: dict[str, Game] = {}
 
 
 def game_of(config: "RunConfig") -> Game:
-    """The game. Stages that follow each other share it: to compile it takes longer than to draw a report."""
-    parts = (config.scenario, config.planner, config.observation, config.perception, config.dynamics)
+    """The game. Stages that follow each other share it: to compile it takes longer than to draw a report.
+
+    Checkpoints drive the social vehicles that the population gives them; no policy is there for the kind `self`.
+    """
+    parts = (config.scenario, config.population, config.planner, config.observation, config.perception, config.dynamics)
     key = repr((parts, config.device, config.compile))
     if key not in _built:
         _built.clear()
         _built[key] = build_game(config, device_of(config), is_compiled=config.compile == "on")
-    return _built[key]
+    return with_learned(_built[key], config, None)
+
+
+def with_learned(game: Game, config: "RunConfig", own: ActorCritic | None) -> Game:
+    """The game with the population's policies; own: the one of the kind `self`."""
+    learned = {}
+    for index, driver in game.cast.learned.items():
+        policy = own if isinstance(driver, SelfDriver) else load_policy(driver.checkpoint, config)
+        if policy is not None:
+            policy = policy.to(device_of(config))
+            learned[index] = Learned(policy, config.policy.horizons_s, driver.action == "sample")
+    return with_policies(game, learned)
 
 
 def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
-    """The game and a freshly initialised policy."""
+    """The game and a freshly initialised policy, which also drives the social vehicles of the kind `self`."""
     device, game = device_of(config), game_of(config)
     policy = grid_actor_critic(config.policy, game.observation_shape, device, generator(config.seed, "initial weights"))
     log.info(f"planner    {game.planner.n_combinations} trajectories per plan")
-    return game, policy
+    return with_learned(game, config, policy), policy
 
 
 def save_policy(path: Path, policy: ActorCritic, config: "RunConfig", n_decisions: int) -> None:

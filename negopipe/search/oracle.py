@@ -116,7 +116,7 @@ class Rollouts:
         n_steps = torch.zeros_like(actions[:, 0])
         world, rows = self.game.simulator.reset(tasks), torch.arange(len(tasks), device=actions.device)
         while len(rows) > 0:
-            world, events = self.game.drive(world, world.horizons(self._horizons[actions[rows, world.step]]))
+            world, events = self.game.drive(world, self.game.choose(world, self._horizons[actions[rows, world.step]]))
             paid[rows] += reward(self.reward_config, events.is_collision, events.is_success).double()
             n_steps[rows] = world.step
             is_over = events.is_terminated | events.is_truncated

@@ -3,7 +3,7 @@
 It is all that reaches a driver. The style, the desired speed and the plan of the others are not part of it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -47,6 +47,7 @@ class Perception:
     direction: [E, S] float32, own driving direction along the road, +1 or -1
     desired_speed: [E, S] float32, m/s
     style_horizon: [E, S] float32, s, own driving style, the one in force now; NaN where the driver chooses
+    driver: [E, S] int64, index of the own driver in the population; `NOBODY` without one
     other: VehicleState [E, S, O], as last sighted; acceleration from the speeds seen, curvature 0
     is_seen: [E, S, O] bool; where false, the fields of `other` are 0 and mean nothing
     own_history: [E, K, S, 3] float32, own poses x, y, yaw (m, m, rad; world), index 0 now, one step apart
@@ -58,6 +59,7 @@ class Perception:
     direction: Tensor
     desired_speed: Tensor
     style_horizon: Tensor
+    driver: Tensor
     other: VehicleState
     is_seen: Tensor
     own_history: Tensor
@@ -68,24 +70,31 @@ class Perception:
         """The perception of one agent, S = 1."""
         return self.of_agents([agent])
 
+    def of_each(self, agent: Tensor) -> "Perception":
+        """The perception of one agent in each world, S = 1; agent: [E] int64."""
+        row = torch.arange(len(agent), device=agent.device)
+        return self._picked(lambda field: field[row, agent][:, None], lambda field: field[row, :, agent][:, :, None])
+
     def of_agents(self, agents: list[int]) -> "Perception":
         """The perception of some agents, in the order given."""
         if agents == list(range(self.direction.shape[1])):
             return self
 
-        def pick(field: Tensor) -> Tensor:
-            return field[:, agents]
+        return self._picked(lambda field: field[:, agents], lambda field: field[:, :, agents])
 
+    def _picked(self, pick: Callable[[Tensor], Tensor], pick_past: Callable[[Tensor], Tensor]) -> "Perception":
+        """The perception with some agents; pick: of fields [E, S, ...], pick_past: of fields [E, K, S, ...]."""
         return Perception(
             own=map_tensors(pick, self.own),
             direction=pick(self.direction),
             desired_speed=pick(self.desired_speed),
             style_horizon=pick(self.style_horizon),
+            driver=pick(self.driver),
             other=map_tensors(pick, self.other),
             is_seen=pick(self.is_seen),
-            own_history=self.own_history[:, :, agents],
-            other_history=self.other_history[:, :, agents],
-            is_seen_history=self.is_seen_history[:, :, agents],
+            own_history=pick_past(self.own_history),
+            other_history=pick_past(self.other_history),
+            is_seen_history=pick_past(self.is_seen_history),
         )
 
 
@@ -138,6 +147,7 @@ class Sensor:
             direction=task.direction,
             desired_speed=task.desired_speed,
             style_horizon=world.style_horizon,
+            driver=task.casting.driver,
             other=VehicleState(pose[..., :2], pose[..., 2], seen.speed[:, 0], accel, torch.zeros_like(accel)),
             is_seen=seen.is_seen[:, 0],
             own_history=world.pose_history[:, :n_frames],

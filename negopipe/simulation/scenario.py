@@ -1,7 +1,7 @@
 """Tasks: the start positions, speeds and driving styles of an episode, and the distributions they are drawn from."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple
@@ -23,7 +23,7 @@ from negopipe.schema import (
     schema,
 )
 from negopipe.simulation.road import RoadConfig
-from negopipe.simulation.state import EGO, Task
+from negopipe.simulation.state import EGO, Casting, Task
 
 
 @schema
@@ -174,14 +174,24 @@ class TaskSampler:
     """Sampler of tasks from a mixture of families, with a generator of its own.
 
     Every task takes the same number of random values, so streams of different configurations can be compared.
+
+    assign: gives the vehicles of drawn tasks their drivers, `agents.population.Cast.assign`; None = the planner drives
+        all of them, in the styles of the families
     """
 
-    def __init__(self, scenario: ScenarioConfig, families: Families, generator: torch.Generator) -> None:
+    def __init__(
+        self,
+        scenario: ScenarioConfig,
+        families: Families,
+        generator: torch.Generator,
+        assign: Callable[[Task], Task] | None = None,
+    ) -> None:
         if not families:
             raise UserError("families must name at least one task family, got none")
         self.scenario = scenario
         self.families = pair_styles(families, scenario.pairing)
         self.generator = generator
+        self._assign = assign
         self._tables = _tabulate(list(self.families.values()), generator.device)
 
     def draw(self, n: int) -> Task:
@@ -196,7 +206,7 @@ class TaskSampler:
         social = _outside(tables.gaps[family], tables.distance[family], first) + behind
         direction = -torch.ones(n, n_vehicles, device=family.device)
         direction[:, EGO] = 1
-        return Task(
+        task = Task(
             start_distance=torch.cat([_between(scenario.ego_start_distance_m, ego), social], dim=1),
             start_speed=_between(scenario.start_speed_mps, start),
             desired_speed=_between(scenario.desired_speed_mps, desired),
@@ -209,7 +219,9 @@ class TaskSampler:
             direction=direction,
             noise_seed=(noise[:, 0] * 2**24).long(),  # 24 bits is what a random float32 has
             family=family,
+            casting=Casting.of_nobody(direction),
         )
+        return task if self._assign is None else self._assign(task)
 
 
 def _tabulate(families: list[FamilyConfig], device: torch.device) -> _Tables:

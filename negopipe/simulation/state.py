@@ -25,6 +25,9 @@ EGO = 0
 NEAREST = 1
 """Column of the social vehicle that starts nearest to its mouth of the corridor."""
 
+NOBODY = -1
+"""`Casting.driver` of a vehicle without a driver of the population: of the ego, and where tasks have no population."""
+
 AT_REST_MPS = 0.1
 """A vehicle that is slower than this is at rest (docs/reading.md, "suspend number")."""
 
@@ -48,18 +51,40 @@ class VehicleState:
 
 
 @dataclass(frozen=True)
+class Casting:
+    """Drivers of the vehicles in E episodes; drawn by `agents.population.Cast`.
+
+    driver: [E, V] int64, index in the population; `NOBODY` for the ego, and everywhere in tasks without a population
+    redraw_steps: [E, V] int64, control steps after which the prediction horizon is redrawn, over and over; 0 = never
+    redrawn_horizon: [E, V, R] float32, s, the horizons in their order, from the episode's start on; NaN where there
+        are none, and R = 0 where no driver has any
+    """
+
+    driver: Tensor
+    redraw_steps: Tensor
+    redrawn_horizon: Tensor
+
+    @staticmethod
+    def of_nobody(direction: Tensor) -> "Casting":
+        """Without a population; direction: [E, V]."""
+        nobody = torch.full_like(direction, NOBODY, dtype=torch.int64)
+        return Casting(nobody, torch.zeros_like(nobody), direction.new_zeros(*direction.shape, 0))
+
+
+@dataclass(frozen=True)
 class Task:
     """Initial conditions of E episodes; drawn by `scenario.TaskSampler`.
 
     start_distance: [E, V] float32, m, from the vehicle's centre to the mouth that it meets first
     start_speed, desired_speed: [E, V] float32, m/s
-    style_horizon: [E, V] float32, s, prediction horizon of the social vehicles; NaN for the ego, which chooses
+    style_horizon: [E, V] float32, s, prediction horizon of the social vehicles; NaN where the driver chooses
     next_style_horizon: [E, V] float32, s, prediction horizon after a switch; NaN where there is none
     switch_time: [E, V] float32, s, time in the episode of a switch; inf = never
     patience: [E, V] float32, s, time at rest without a break before a switch; inf = never
     direction: [E, V] float32, +1 drives towards growing sigma (+x in the corridor), -1 against it
     noise_seed: [E] int64, from 0 to 2^24 - 1, of the errors with which vehicles perceive each other
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
+    casting: who drives the social vehicles
     """
 
     start_distance: Tensor
@@ -72,6 +97,7 @@ class Task:
     direction: Tensor
     noise_seed: Tensor
     family: Tensor
+    casting: Casting
 
     def __len__(self) -> int:
         return self.family.shape[0]
@@ -111,8 +137,14 @@ class World:
 
     @property
     def style_horizon(self) -> Tensor:
-        """[E, V] float32, s: the driving style in force now; NaN for the ego."""
-        return torch.where(self.has_switched, self.task.next_style_horizon, self.task.style_horizon)
+        """[E, V] float32, s: the driving style in force now; NaN where the driver chooses."""
+        task = self.task
+        style = torch.where(self.has_switched, task.next_style_horizon, task.style_horizon)
+        n_kept, redrawn = task.casting.redraw_steps, task.casting.redrawn_horizon
+        if redrawn.shape[-1] == 0:
+            return style
+        index = (self.step[:, None] // n_kept.clamp(min=1)).clamp(max=redrawn.shape[-1] - 1)
+        return torch.where(n_kept > 0, redrawn.gather(-1, index[..., None])[..., 0], style)
 
     def horizons(self, ego: Tensor | float) -> Tensor:
         """[E, V] float32, s: `ego` [E] for the ego, the driving style in force now for the social vehicles."""

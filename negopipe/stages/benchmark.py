@@ -187,7 +187,7 @@ def comparisons(config: "RunConfig", cells: list[tuple[Backend, int]], figures: 
 def _start(config: "RunConfig", game: Game, n_worlds: int, device: torch.device) -> NegotiationEnv:
     """Worlds of all ages, so that the rate of ending episodes is stationary from the first step on."""
     tasks = generator(config.seed, "benchmark tasks", device)
-    sampler = TaskSampler(config.scenario, config.evaluated_families, tasks)
+    sampler = TaskSampler(config.scenario, config.evaluated_families, tasks, game.cast.assign)
     env = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
     age = torch.randint(config.scenario.episode_steps, (n_worlds,), generator=tasks, device=device)
     env.world = replace(env.world, step=age)

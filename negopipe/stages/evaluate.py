@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from torch import Tensor
 
-from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver, MakeDriver
+from negopipe.agents.driver_config import DriverConfig
 from negopipe.agents.horizon_drivers import adaptive_planner
 from negopipe.errors import UserError
 from negopipe.evaluation import measures
@@ -122,9 +122,11 @@ def _is_drawn(config: "RunConfig") -> bool:
 
 
 @one_thread()
-def drive_baseline(config: "RunConfig", game: Game, baseline: Baseline, tasks: Task, names: tuple[str, str]) -> Trace:
+def drive_baseline(
+    config: "RunConfig", game: Game, baseline: DriverConfig, tasks: Task, names: tuple[str, str]
+) -> Trace:
     """The record of a baseline on the first tasks, as many as it drives."""
-    driven = map_tensors(lambda field: field[: baseline.n_episodes], tasks)
+    driven = map_tensors(lambda field: field[: baseline.n_driven], tasks)
     n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
     return drive_episodes(game, partial(baseline.driver, game), driven, n_worlds, paid, names, baseline.is_lockstep)
 
@@ -133,7 +135,9 @@ def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
     """The setting's tasks, the same for every planner and training seed; training draws from other streams."""
     stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
     families = pair_styles(config.scenario.families, config.scenario.pairing)
-    return TaskSampler(config.scenario, {setting: families[setting]}, stream).draw(config.evaluation.n_episodes)
+    return TaskSampler(config.scenario, {setting: families[setting]}, stream, game.cast.assign).draw(
+        config.evaluation.n_episodes
+    )
 
 
 def measure(config: "RunConfig", trace: Trace) -> pd.DataFrame:

@@ -18,7 +18,7 @@ def mix(number: Tensor) -> Tensor:
     return number ^ (number >> 15)
 
 
-def uniform(key: Tensor, channel: int) -> Tensor:
+def uniform(key: Tensor, channel: Tensor | int) -> Tensor:
     """Uniform numbers in (0, 1), float32, with the shape of `key`; channels are independent."""
     return ((mix(key + channel) >> 9) + 0.5) * 2.0**-23
 

@@ -41,7 +41,7 @@ def demonstrations(config: "RunConfig", game: Game, folder: Path | None) -> Demo
     wanted = config.curriculum.demonstrations
     if wanted is None:
         return None
-    tasks = demonstrated_tasks(config, wanted, game.planner.times.device)
+    tasks = demonstrated_tasks(config, wanted, game)
     path = None if folder is None else folder / DEMONSTRATIONS_NAME
     if path is None or not path.is_file():
         table = _search(config, wanted, game, tasks)
@@ -55,12 +55,13 @@ def demonstrations(config: "RunConfig", game: Game, folder: Path | None) -> Demo
     return Demonstrations(wanted, observation, action)
 
 
-def demonstrated_tasks(config: "RunConfig", wanted: DemonstrationsConfig, device: torch.device) -> dict[str, Task]:
+def demonstrated_tasks(config: "RunConfig", wanted: DemonstrationsConfig, game: Game) -> dict[str, Task]:
     """Demonstrated tasks of each family of the last stage, by its name."""
     scenario, families = config.curriculum.scenario(config.scenario), config.curriculum.stages[-1].families
+    device = game.planner.times.device
     streams = {name: generator(config.seed, f"demonstrated tasks {name}", device) for name in families}
     return {
-        name: TaskSampler(scenario, {name: family}, streams[name]).draw(wanted.n_tasks)
+        name: TaskSampler(scenario, {name: family}, streams[name], game.cast.assign).draw(wanted.n_tasks)
         for name, family in families.items()
     }
 
@@ -96,5 +97,5 @@ def _replay(config: "RunConfig", game: Game, tasks: Task, texts: list[str]) -> t
         is_driving = action >= 0
         seen.append(grids[is_driving])
         actions.append(action[is_driving])
-        world, _, grids = game.advance(world, world.horizons(horizons[action]))
+        world, _, grids = game.advance(world, game.choose(world, horizons[action]))
     return torch.cat(seen), torch.cat(actions)

@@ -50,7 +50,9 @@ class Training:
         self.n_steps = algorithm.n_steps
         self.curriculum, self._reward = Curriculum(config.curriculum), config.reward
         scenario = config.curriculum.scenario(config.scenario)
-        self._samplers = [TaskSampler(scenario, stage.families, tasks) for stage in config.curriculum.stages]
+        self._samplers = [
+            TaskSampler(scenario, stage.families, tasks, game.cast.assign) for stage in config.curriculum.stages
+        ]
         horizons_s = config.policy.horizons_s
         self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds)
         self.running = RunningEpisodes.start(algorithm.n_worlds, device)

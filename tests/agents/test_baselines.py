@@ -11,8 +11,9 @@ import torch
 import yaml
 from games import draw_tasks
 
-from negopipe.agents.baseline import Baseline
-from negopipe.agents.baselines import CONFIGS, cautious, level_k, random_horizon
+from negopipe.agents import route_following
+from negopipe.agents.driver_config import DriverConfig
+from negopipe.agents.drivers import CONFIGS, cautious, level_k, random_horizon
 from negopipe.agents.encounter import Encounter, encounter
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
@@ -30,7 +31,7 @@ NAMES = [path.stem for path in FILES]
 
 
 @pytest.fixture(scope="module")
-def baselines() -> dict[str, Baseline]:
+def baselines() -> dict[str, DriverConfig]:
     return compose_config([f"evaluation/baseline=[{','.join(NAMES)}]", "report.side_by_side=[]"]).evaluation.baselines
 
 
@@ -47,7 +48,7 @@ def task_with(config: RunConfig, distance_m: float, style_s: float) -> Task:
     return replace(task, start_distance=distance, style_horizon=style)
 
 
-def drive(config: RunConfig, game: Game, baseline: Baseline, task: Task, n_worlds: int = 64) -> Trace:
+def drive(config: RunConfig, game: Game, baseline: DriverConfig, task: Task, n_worlds: int = 64) -> Trace:
     names = ("baseline", "x")
     ego, paid = partial(baseline.driver, game), config.evaluation.reward
     return drive_episodes(game, ego, task, n_worlds, paid, names, baseline.is_lockstep)
@@ -57,7 +58,7 @@ def kind_of(config: type) -> str:
     return get_args(config.__dataclass_fields__["kind"].type)[0]  # type: ignore[attr-defined]
 
 
-def test_every_file_chooses_a_baseline_of_its_name(baselines: dict[str, Baseline]) -> None:
+def test_every_file_chooses_a_baseline_of_its_name(baselines: dict[str, DriverConfig]) -> None:
     assert list(baselines) == NAMES
     kinds = {yaml.safe_load(path.read_text())["kind"] for path in FILES}
     assert kinds == {kind_of(config) for config in CONFIGS}
@@ -78,7 +79,7 @@ def test_every_file_chooses_a_baseline_of_its_name(baselines: dict[str, Baseline
 def test_who_gets_through(
     config: RunConfig,
     game: Game,
-    baselines: dict[str, Baseline],
+    baselines: dict[str, DriverConfig],
     name: str,
     distance_m: float,
     style_s: float,
@@ -90,7 +91,7 @@ def test_who_gets_through(
 
 @pytest.mark.parametrize("overrides", [["scenario=one_sided"], ["perception.dropout_probability=0.02"]])
 def test_cautious_waits_where_the_other_can_pass_and_goes_on_waiting(
-    baselines: dict[str, Baseline], overrides: list[str]
+    baselines: dict[str, DriverConfig], overrides: list[str]
 ) -> None:
     # without a waiting place made for the street, and with one missed sighting as a reason to go, about a third crash
     config = compose_config(overrides)
@@ -106,13 +107,13 @@ def test_cautious_waits_where_the_other_can_pass_and_goes_on_waiting(
 )
 def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: float, waiting_m: float) -> None:
     simulator = build_game(compose_config([f"scenario={scenario}"])).simulator
-    assert cautious.waiting_place(simulator, -9.0, side) == waiting_m
-    assert cautious.waiting_place(simulator, 0.0, side) < -5.0  # in the corridor nobody can pass
+    assert route_following.waiting_place(simulator, -9.0, side) == waiting_m
+    assert route_following.waiting_place(simulator, 0.0, side) < -5.0  # in the corridor nobody can pass
 
 
 def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:
     """Whatever it is called."""
-    short = ["kind=fixed", "n_episodes=null", "horizon_s=1.6"]
+    short = ["kind=fixed", "horizon_s=1.6"]
     overrides = [f"+evaluation.baselines.random_short.{value}" for value in short]
     evaluation = compose_config(
         ["evaluation/baseline=[fixed_6,cautious]", "report.side_by_side=[]", *overrides]
@@ -122,7 +123,7 @@ def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:
 
 
 def test_only_horizons_that_a_baseline_names_are_used(
-    config: RunConfig, brief: Game, baselines: dict[str, Baseline]
+    config: RunConfig, brief: Game, baselines: dict[str, DriverConfig]
 ) -> None:
     task = draw_tasks(config, 2, seed=3)
     short = replace(baselines["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]
@@ -133,7 +134,7 @@ def test_only_horizons_that_a_baseline_names_are_used(
 
 
 def test_random_horizons_depend_on_the_episode_alone(
-    config: RunConfig, brief: Game, baselines: dict[str, Baseline]
+    config: RunConfig, brief: Game, baselines: dict[str, DriverConfig]
 ) -> None:
     task = draw_tasks(config, 3, seed=5)
     together, alone = (drive(config, brief, baselines["random"], task, n).horizon_s[:, :, 0] for n in (3, 1))
@@ -148,7 +149,7 @@ def sequence(game: Game, baseline: random_horizon.Config, n: int) -> torch.Tenso
     return torch.stack([choose(nothing)[:, 0] for _ in range(game.simulator.scenario.episode_steps)])
 
 
-def test_random_horizons_are_equally_likely_and_kept(game: Game, baselines: dict[str, Baseline]) -> None:
+def test_random_horizons_are_equally_likely_and_kept(game: Game, baselines: dict[str, DriverConfig]) -> None:
     baseline = baselines["random"]
     assert isinstance(baseline, random_horizon.Config)
     drawn = sequence(game, baseline, 400)
@@ -183,22 +184,22 @@ def test_an_encounter_by_hand(config: RunConfig, game: Game) -> None:
     assert not encounter(game.simulator.road, 4.5, behind).is_oncoming.any()
 
 
-def test_the_intelligent_driver_model_by_hand(baselines: dict[str, Baseline]) -> None:
+def test_the_intelligent_driver_model_by_hand(baselines: dict[str, DriverConfig]) -> None:
     config = baselines["cautious"]
     assert isinstance(config, cautious.Config)
-    free = cautious.Hindrance(torch.tensor(1e9), torch.tensor(0.0))
+    free = route_following.Hindrance(torch.tensor(1e9), torch.tensor(0.0))
 
-    def accel(speed: float, hindrance: cautious.Hindrance) -> float:
-        return cautious.idm(config, torch.tensor(speed), torch.tensor(6.0), hindrance).item()
+    def accel(speed: float, hindrance: route_following.Hindrance) -> float:
+        return route_following.idm(config, torch.tensor(speed), torch.tensor(6.0), hindrance).item()
 
     assert accel(0.0, free) == pytest.approx(config.accel_mps2)
     assert accel(6.0, free) == pytest.approx(0.0, abs=1e-5)
     assert accel(3.0, free) == pytest.approx(config.accel_mps2 * (1 - 1 / 16))
     # behind a standing obstacle at 3 m/s: s* = 2 + 3 * 1 + 3 * 3 / (2 sqrt(2.4 * 2)) = 7.054 m
-    assert accel(3.0, cautious.Hindrance(torch.tensor(10.0), torch.tensor(3.0))) == pytest.approx(
+    assert accel(3.0, route_following.Hindrance(torch.tensor(10.0), torch.tensor(3.0))) == pytest.approx(
         2.4 * (1 - 1 / 16 - 0.7054**2), abs=1e-3
     )
-    assert accel(6.0, cautious.Hindrance(torch.tensor(1.0), torch.tensor(6.0))) == -config.braking_max_mps2
+    assert accel(6.0, route_following.Hindrance(torch.tensor(1.0), torch.tensor(6.0))) == -config.braking_max_mps2
 
 
 def test_time_to_a_place() -> None:
@@ -214,7 +215,7 @@ def test_time_to_a_place() -> None:
     ],
 )  # fmt: skip
 def test_every_value_of_the_cautious_driver_acts(
-    config: RunConfig, brief: Game, baselines: dict[str, Baseline], change: dict[str, float]
+    config: RunConfig, brief: Game, baselines: dict[str, DriverConfig], change: dict[str, float]
 ) -> None:
     task = task_with(config, 13.0, 2.0)
     usual = baselines["cautious"]
@@ -223,9 +224,9 @@ def test_every_value_of_the_cautious_driver_acts(
     assert not np.array_equal(first, other)
 
 
-@pytest.mark.parametrize(("other_m", "margin_s", "gap_m"), [(36.0, 1.0, 3.0), (36.0, 0.0, cautious.FREE_M)])
+@pytest.mark.parametrize(("other_m", "margin_s", "gap_m"), [(36.0, 1.0, 3.0), (36.0, 0.0, route_following.FREE_M)])
 def test_it_waits_for_who_could_be_there_too_soon(
-    game: Game, baselines: dict[str, Baseline], other_m: float, margin_s: float, gap_m: float
+    game: Game, baselines: dict[str, DriverConfig], other_m: float, margin_s: float, gap_m: float
 ) -> None:
     """From s = -10 m at 5 m/s it is out of the corridor (12 m, half a car) in 24.25 / 5.5 = 4.4 s, the other in it in
     (36 - 2.25) / 7.5 = 4.5 s.
@@ -234,14 +235,15 @@ def test_it_waits_for_who_could_be_there_too_soon(
     assert isinstance(usual, cautious.Config)
     one = torch.ones(1, 1)
     own = RouteState(-10 * one, 5 * one, 0 * one, 0 * one, 0 * one, 0 * one)
-    met = Encounter(own, -other_m * one[None], 7.5 * one[None], 58 * one[None], one[None] > 0)
-    driver = cautious.CautiousDriver(game, replace(usual, margin_s=margin_s))
-    line = driver.stop_line(met, one, 6 * one)
+    met = Encounter(own, -other_m * one[None], 7.5 * one[None], 58 * one[None], one[None] > 0, one[None] < 0)
+    must_wait = replace(usual, margin_s=margin_s).must_wait(met, 6 * one, 12.0, 4.5)
+    places = route_following.waiting_places(game.simulator, usual.stop_s_m)
+    line = route_following.stop_line(met, must_wait, places, usual.gap_m, one)
     assert line.gap_m.item() == pytest.approx(gap_m)  # to s = -9 m, and 2 m that it would keep
     assert line.closing_mps.item() == 5.0
 
 
-def level_k_at(game: Game, baselines: dict[str, Baseline], **changes: float) -> level_k.LevelK:
+def level_k_at(game: Game, baselines: dict[str, DriverConfig], **changes: float) -> level_k.LevelK:
     config = baselines["level_k"]
     assert isinstance(config, level_k.Config)
     return level_k.LevelK(game, replace(config, **changes))  # type: ignore[arg-type]
@@ -264,7 +266,7 @@ def test_best_responses_by_hand() -> None:
 
 @pytest.mark.parametrize("style_s", [2.0, 4.0])
 def test_the_belief_finds_the_style_from_the_motion(
-    config: RunConfig, game: Game, baselines: dict[str, Baseline], style_s: float
+    config: RunConfig, game: Game, baselines: dict[str, DriverConfig], style_s: float
 ) -> None:
     world = game.simulator.reset(task_with(config, 17.5, style_s))
     n = {2.0: 15, 4.0: 10}[style_s]  # then its prediction has met the ego for some steps
@@ -283,7 +285,7 @@ def test_the_belief_finds_the_style_from_the_motion(
     assert (chooser.belief(perception, 3) == 0.25).all()  # too early to tell
 
 
-def test_payoffs_count_metres_and_crashes(config: RunConfig, game: Game, baselines: dict[str, Baseline]) -> None:
+def test_payoffs_count_metres_and_crashes(config: RunConfig, game: Game, baselines: dict[str, DriverConfig]) -> None:
     perception = game.perceive(game.simulator.reset(task_with(config, 13.0, 2.0))).of(0)
     own, other = level_k_at(game, baselines).payoffs(perception)
     dear, _ = level_k_at(game, baselines, collision_m=500.0).payoffs(perception)
@@ -300,7 +302,7 @@ def test_payoffs_count_metres_and_crashes(config: RunConfig, game: Game, baselin
     assert (sooner[0, 3] < own[0, 3]).all()
 
 
-def test_who_is_not_seen_is_nobody(config: RunConfig, game: Game, baselines: dict[str, Baseline]) -> None:
+def test_who_is_not_seen_is_nobody(config: RunConfig, game: Game, baselines: dict[str, DriverConfig]) -> None:
     perception = game.perceive(game.simulator.reset(task_with(config, 13.0, 2.0))).of(0)
     blind = replace(perception, is_seen=torch.zeros_like(perception.is_seen))
     own, _ = level_k_at(game, baselines, courtesy=0.0, lookahead_s=5.0).payoffs(blind)
@@ -308,7 +310,7 @@ def test_who_is_not_seen_is_nobody(config: RunConfig, game: Game, baselines: dic
     assert own.max() - own.min() < 1e-3
 
 
-def test_a_choice_is_kept(config: RunConfig, game: Game, baselines: dict[str, Baseline], monkeypatch: Any) -> None:
+def test_a_choice_is_kept(config: RunConfig, game: Game, baselines: dict[str, DriverConfig], monkeypatch: Any) -> None:
     chooser, n_games = level_k_at(game, baselines, keep_s=0.6), []
     no_payoff = torch.zeros(1, 4, 4)
     monkeypatch.setattr(chooser, "payoffs", lambda perception: n_games.append(1) or (no_payoff, no_payoff))

@@ -5,8 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 from games import draw_tasks
+from torch import Tensor
 
-from negopipe.agents.driver import HorizonDriver, drive_together, fixed_horizon, own_style
+from negopipe.agents.driver import HorizonDriver, drive_together, fixed_horizon
 from negopipe.config.root import RunConfig
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import Game, build_game
@@ -110,6 +111,10 @@ def test_same_seed_same_episode(config: RunConfig, game: Game) -> None:
         x, y = a.step(action), b.step(action)
         assert torch.equal(x.observation, y.observation)
         assert torch.equal(x.reward, y.reward)
+
+
+def own_style(perception: Perception) -> Tensor:
+    return perception.style_horizon
 
 
 def test_driving_together_equals_driving_alone(config: RunConfig, game: Game) -> None:

@@ -9,29 +9,32 @@ Axes: E worlds, A horizons of the ego, B of the other, V vehicles, O = V - 1 oth
 """
 
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver
-from negopipe.game.game import Game
+from negopipe.agents.driver_config import DriverConfig
 from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
 from negopipe.simulation.perception import Perception
-from negopipe.simulation.state import EGO, Task, VehicleState, World
+from negopipe.simulation.state import EGO, Casting, Task, VehicleState, World
 from negopipe.tensors.tree import map_tensors
+
+if TYPE_CHECKING:
+    from negopipe.game.game import Game
 
 BEHIND_M = 100.0
 """Distance behind the ego at which a vehicle that is not seen is put, m."""
 
 
 @schema
-class Config(Baseline):
+class Config(DriverConfig):
     """`conf/evaluation/baseline/level_k.yaml` says what each value means."""
 
     kind: Literal["level_k"]
+    n_episodes: PositiveInt | None
     horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
     level: PositiveInt
     lookahead_s: PositiveFloat
@@ -44,6 +47,10 @@ class Config(Baseline):
     is_lockstep: ClassVar[bool] = True
 
     @property
+    def n_driven(self) -> int | None:
+        return self.n_episodes
+
+    @property
     def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:
         return {"horizons_s": self.horizons_s}
 
@@ -51,14 +58,14 @@ class Config(Baseline):
     def times_s(self) -> dict[str, float]:
         return {name: getattr(self, name) for name in ("lookahead_s", "keep_s", "lookback_s")}
 
-    def driver(self, game: Game, episode_key: Tensor) -> HorizonDriver:
+    def driver(self, game: "Game", episode_key: Tensor) -> HorizonDriver:
         return HorizonDriver(LevelK(game, self), game.plan)
 
 
 class LevelK:
     """Choice of a horizon every `keep_s`, in episodes that start together: a `agents.driver.ChooseHorizon`."""
 
-    def __init__(self, game: Game, config: Config) -> None:
+    def __init__(self, game: "Game", config: Config) -> None:
         self.game, self.config = game, config
         self.horizons = torch.tensor(config.horizons_s, device=game.planner.times.device)
         self.dt_s = game.simulator.scenario.dt_s
@@ -161,15 +168,15 @@ def _play(own: Tensor, other: Tensor, belief: Tensor, level: int) -> Tensor:
     return torch.nn.functional.one_hot(best, own.shape[2]).to(own.dtype)
 
 
-def imagined(game: Game, vehicles: VehicleState, direction: Tensor, desired_speed: Tensor) -> World:
+def imagined(game: "Game", vehicles: VehicleState, direction: Tensor, desired_speed: Tensor) -> World:
     """Worlds as one vehicle assumes them: the others have the same desired speed, and no vehicle has a past.
 
     vehicles: VehicleState [E, V]; direction: [E, V]; desired_speed: [E, 1], m/s
     """
     unknown = torch.zeros_like(direction)
     never, no = torch.full_like(direction, torch.inf), torch.zeros_like(direction[:, 0], dtype=torch.int64)
-    wanted = desired_speed.expand_as(direction)
-    task = Task(unknown, wanted, wanted, unknown, unknown, never, never, direction, no, no)
+    wanted, nobody = desired_speed.expand_as(direction), Casting.of_nobody(direction)
+    task = Task(unknown, wanted, wanted, unknown, unknown, never, never, direction, no, no, nobody)
     world = game.simulator.reset(task)
     pose = torch.cat([vehicles.position, vehicles.yaw[..., None]], dim=-1)
     return replace(
@@ -189,6 +196,6 @@ def _of_others(perception: Perception) -> VehicleState:
     return replace(other, position=torch.where(perception.is_seen[:, 0, :, None], other.position, behind))
 
 
-def _directions(game: Game, perception: Perception) -> Tensor:
+def _directions(game: "Game", perception: Perception) -> Tensor:
     """[E, V]: driving directions of the ego and of the others, by their perceived headings."""
     return torch.cat([perception.direction, game.simulator.road.direction_of(perception.other)[:, 0]], 1)

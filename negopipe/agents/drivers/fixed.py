@@ -2,16 +2,14 @@
 
 from typing import Literal
 
-from torch import Tensor
-
-from negopipe.agents.baseline import Baseline
-from negopipe.agents.driver import HorizonDriver, fixed_horizon
-from negopipe.game.game import Game
+from negopipe.agents.driver import ChooseHorizon, fixed_horizon
+from negopipe.agents.driver_config import HorizonRule
 from negopipe.schema import NonNegativeFloat, schema
+from negopipe.simulation.simulator import Simulator
 
 
 @schema
-class Config(Baseline):
+class Config(HorizonRule):
     """A fixed horizon.
 
     horizon_s: time for which the other is predicted; 0 = it is ignored
@@ -28,5 +26,5 @@ class Config(Baseline):
     def fixed_horizon_s(self) -> float:
         return self.horizon_s
 
-    def driver(self, game: Game, episode_key: Tensor) -> HorizonDriver:
-        return HorizonDriver(fixed_horizon(self.horizon_s), game.plan)
+    def choose(self, simulator: Simulator) -> ChooseHorizon:
+        return fixed_horizon(self.horizon_s)

@@ -8,16 +8,16 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from negopipe.agents.baseline import Baseline
-from negopipe.agents.driver import HorizonDriver
+from negopipe.agents.driver import ChooseHorizon
+from negopipe.agents.driver_config import HorizonRule
 from negopipe.agents.encounter import encounter
-from negopipe.game.game import Game
 from negopipe.schema import NonNegativeFloat, schema
 from negopipe.simulation.perception import Perception
+from negopipe.simulation.simulator import Simulator
 
 
 @schema
-class Config(Baseline):
+class Config(HorizonRule):
     """`conf/evaluation/baseline/give_way.yaml` says what each value means."""
 
     kind: Literal["give_way"]
@@ -28,13 +28,13 @@ class Config(Baseline):
     def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:
         return {"waiting_horizon_s": (self.waiting_horizon_s,), "going_horizon_s": (self.going_horizon_s,)}
 
-    def driver(self, game: Game, episode_key: Tensor) -> HorizonDriver:
-        road, length_m = game.simulator.road, game.simulator.scenario.vehicle.length_m
+    def choose(self, simulator: Simulator) -> ChooseHorizon:
+        road, length_m = simulator.road, simulator.scenario.vehicle.length_m
 
-        def choose(perception: Perception) -> Tensor:
+        def by_distance(perception: Perception) -> Tensor:
             met = encounter(road, length_m, perception)
             is_nearer = met.other_s >= met.own.s[..., None]  # at equal distances both wait
             must_wait = (met.is_oncoming & is_nearer).any(-1)
             return torch.where(must_wait, self.waiting_horizon_s, self.going_horizon_s)
 
-        return HorizonDriver(choose, game.plan)
+        return by_distance

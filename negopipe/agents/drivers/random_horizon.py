@@ -1,21 +1,23 @@
 """Random horizon: drawn anew every so often, whatever the other does; a trained policy must be better."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from negopipe.agents.baseline import Baseline
 from negopipe.agents.driver import HorizonDriver
+from negopipe.agents.driver_config import DriverConfig
 from negopipe.agents.horizon_drivers import sequence_planner
-from negopipe.game.game import Game
 from negopipe.schema import NonNegativeFloat, PositiveFloat, schema
 from negopipe.tensors.stateless_rng import mix
 
+if TYPE_CHECKING:
+    from negopipe.game.game import Game
+
 
 @schema
-class Config(Baseline):
+class Config(DriverConfig):
     """A random horizon.
 
     horizons_s: s, each equally likely
@@ -36,7 +38,7 @@ class Config(Baseline):
     def times_s(self) -> dict[str, float]:
         return {"keep_s": self.keep_s}
 
-    def driver(self, game: Game, episode_key: Tensor) -> HorizonDriver:
+    def driver(self, game: "Game", episode_key: Tensor) -> HorizonDriver:
         scenario = game.simulator.scenario
         n_kept = round(self.keep_s / scenario.dt_s)
         draw = torch.arange(scenario.episode_steps, device=episode_key.device) // n_kept

@@ -1,0 +1,55 @@
+"""Cautious driver: it follows its route and enters the corridor only if it can leave it before the other enters."""
+
+from collections.abc import Callable
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from negopipe.agents.encounter import Encounter
+from negopipe.agents.route_following import (
+    Hindrance,
+    RouteFollowingConfig,
+    nearest,
+    nose_to_nose,
+    stop_line,
+    waiting_places,
+)
+from negopipe.schema import NonNegativeFloat, Real, schema
+from negopipe.simulation.perception import Perception
+from negopipe.simulation.simulator import Simulator
+
+LONG_S = 1e3
+"""Travel time of a standing vehicle, s."""
+
+
+@schema
+class Config(RouteFollowingConfig):
+    """`conf/evaluation/baseline/cautious.yaml` says what each value means."""
+
+    kind: Literal["cautious"]
+    stop_s_m: Real
+    margin_s: NonNegativeFloat
+
+    def hindrance(self, simulator: Simulator) -> Callable[[Perception, Encounter], Hindrance]:
+        length_m, corridor_m = simulator.scenario.vehicle.length_m, simulator.road.config.corridor_length_m
+        places = waiting_places(simulator, self.stop_s_m)
+
+        def hindered(perception: Perception, met: Encounter) -> Hindrance:
+            must_wait = self.must_wait(met, perception.desired_speed, corridor_m, length_m)
+            line = stop_line(met, must_wait, places, self.gap_m, perception.direction)
+            return nearest(line, nose_to_nose(met, length_m))
+
+        return hindered
+
+    def must_wait(self, met: Encounter, desired_speed: Tensor, corridor_m: float, length_m: float) -> Tensor:
+        """[E, S] bool: another vehicle could enter the corridor before the agent has left it."""
+        own_s = time_to(corridor_m + length_m / 2, met.own.s, (met.own.s_dot + desired_speed) / 2)
+        other_s = time_to(-length_m / 2, met.other_s, met.other_speed)
+        return (met.is_oncoming & (other_s < own_s[..., None] + self.margin_s)).any(-1)
+
+
+def time_to(s_m: float, now_m: Tensor, speed: Tensor) -> Tensor:
+    """Travel time to a place at constant speed, s; 0 where the place is behind, `LONG_S` at most."""
+    left = (s_m - now_m).clamp(min=0)
+    return torch.where(left > 0, (left / speed.clamp(min=1e-3)).clamp(max=LONG_S), 0.0)

@@ -1,0 +1,202 @@
+"""The population: the drivers of the social vehicles and their shares.
+
+`Cast` draws a driver for every social vehicle of a task, and drives all of them in one batched call, whatever the
+mixture in the batch.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+from math import ceil
+from typing import Annotated, Literal
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from negopipe.agents.driver import Plan
+from negopipe.agents.driver_config import HorizonRule, MotionRule
+from negopipe.agents.drivers import RuleConfig
+from negopipe.checks import Problem, check_horizons, check_times
+from negopipe.schema import FileName, Interval, NonNegativeFloat, PathText, PositiveFloat, schema
+from negopipe.simulation.perception import Perception
+from negopipe.simulation.scenario import Styles
+from negopipe.simulation.simulator import Simulator
+from negopipe.simulation.state import EGO, NOBODY, Casting, Motion, Task
+from negopipe.tensors.stateless_rng import mix, uniform
+from negopipe.tensors.tree import tree_where
+
+CAST = 0xCA57
+"""Offset of the key from which drivers and their horizons are drawn, apart from the other draws of an episode."""
+
+WITHOUT_POLICY = {"behaviour_map", "oracle", "benchmark"}
+"""Stages that drive without the run's policy."""
+
+
+@schema
+class PlannerStyle:
+    """The planner with a prediction horizon of its own; both null = the style and the style switch of the family.
+
+    horizons_s: s, each equally likely
+    interval_s: uniform interval of the horizon, s
+    redraw_s: time after which the horizon is drawn anew, again and again, s; null = it is kept
+    """
+
+    kind: Literal["planner"]
+    horizons_s: Styles | None
+    interval_s: Interval | None
+    redraw_s: PositiveFloat | None
+
+    @model_validator(mode="after")
+    def _draws_from_one(self) -> "PlannerStyle":
+        if self.horizons_s is not None and self.interval_s is not None:
+            raise ValueError("must have horizons_s or interval_s, both are given")
+        if self.redraw_s is not None and not self.is_own:
+            raise ValueError("must have horizons_s or interval_s where redraw_s is given, both are null")
+        return self
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the horizon is the driver's own and not the family's."""
+        return self.horizons_s is not None or self.interval_s is not None
+
+    def check(self, key: str, dt_s: float, plan_s: float) -> Iterator[Problem]:
+        """plan_s: length of a plan."""
+        yield from check_horizons({f"{key}.horizons_s": self.horizons_s or ()}, dt_s, plan_s)
+        yield from check_horizons({f"{key}.interval_s": self.interval_s or ()}, dt_s, plan_s)
+        yield from check_times({f"{key}.redraw_s": () if self.redraw_s is None else (self.redraw_s,)}, dt_s)
+
+    def draw(self, share: Tensor) -> Tensor:
+        """Horizons [...] (s) from uniform numbers [...] in (0, 1)."""
+        if self.interval_s is not None:
+            low, high = self.interval_s
+            return low + (high - low) * share
+        values = torch.tensor(self.horizons_s, device=share.device)
+        return values[(share * len(values)).long().clamp(max=len(values) - 1)]
+
+
+@schema
+class PolicyDriver:
+    """A trained policy on the other side.
+
+    checkpoint: as the run's `checkpoint`; its network and its grids must be those of the config
+    action: greedy = the most probable horizon; sample = drawn by the probabilities
+    """
+
+    kind: Literal["policy"]
+    checkpoint: PathText
+    action: Literal["greedy", "sample"]
+
+    def check(self, key: str, dt_s: float, plan_s: float) -> Iterator[Problem]:
+        yield from ()
+
+
+@schema
+class SelfDriver:
+    """The policy that is being trained or evaluated, on the other side; action: as for `PolicyDriver`."""
+
+    kind: Literal["self"]
+    action: Literal["greedy", "sample"]
+
+    def check(self, key: str, dt_s: float, plan_s: float) -> Iterator[Problem]:
+        yield from ()
+
+
+@schema
+class SocialDriverConfig:
+    """A driver of the population.
+
+    weight: share of the social vehicles that it drives, relative to the other drivers
+    """
+
+    weight: NonNegativeFloat
+    driver: Annotated[PlannerStyle | PolicyDriver | SelfDriver | RuleConfig, Field(discriminator="kind")]
+
+
+@schema
+class PopulationConfig:
+    """The drivers of the social vehicles by name; `conf/population/styles.yaml` says more."""
+
+    drivers: Annotated[dict[FileName, SocialDriverConfig], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _has_weight(self) -> "PopulationConfig":
+        if sum(each.weight for each in self.drivers.values()) <= 0:
+            weights = ", ".join(f"{name} {each.weight:g}" for name, each in self.drivers.items())
+            raise ValueError(f"drivers must have a weight above 0 in all, got {weights}")
+        return self
+
+    def check(self, dt_s: float, plan_s: float) -> Iterator[Problem]:
+        """plan_s: length of a plan."""
+        for name, each in self.drivers.items():
+            yield from each.driver.check(f"population.drivers.{name}.driver", dt_s, plan_s)
+
+    def check_self(self, stages: Collection[str]) -> Iterator[Problem]:
+        """The policy itself can drive only where one is trained or evaluated."""
+        without = sorted(WITHOUT_POLICY & set(stages))
+        for name, each in self.drivers.items():
+            if isinstance(each.driver, SelfDriver) and without:
+                rule = f"name a checkpoint (kind: policy) in the stage {without[0]}, where no policy is at hand"
+                yield Problem(f"population.drivers.{name}.driver.kind", rule, each.driver.kind)
+
+
+class Cast:
+    """The population at work in worlds of one scenario.
+
+    names: of the drivers; a task holds their indices
+    """
+
+    def __init__(self, population: PopulationConfig, simulator: Simulator) -> None:
+        drivers = [each.driver for each in population.drivers.values()]
+        self.names = tuple(population.drivers)
+        self.learned = {i: d for i, d in enumerate(drivers) if isinstance(d, PolicyDriver | SelfDriver)}
+        weights = torch.tensor([each.weight for each in population.drivers.values()], dtype=torch.float64)
+        self._until = (weights.cumsum(0) / weights.sum()).float().to(simulator.road.parked_cars.device)
+        self._planners = {i: d for i, d in enumerate(drivers) if isinstance(d, PlannerStyle)}
+        self._horizon_rules = {i: d.choose(simulator) for i, d in enumerate(drivers) if isinstance(d, HorizonRule)}
+        self._motion_rules = {i: d.rule(simulator) for i, d in enumerate(drivers) if isinstance(d, MotionRule)}
+        dt_s, self._n_steps = simulator.scenario.dt_s, simulator.scenario.episode_steps
+        self._redraw_steps = {i: round((d.redraw_s or 0) / dt_s) for i, d in self._planners.items()}
+        self._n_redrawn = max((ceil(self._n_steps / n) for n in self._redraw_steps.values() if n), default=0)
+
+    def assign(self, task: Task) -> Task:
+        """The tasks with a driver for every social vehicle, and with the horizons that these bring along.
+
+        All draws are functions of the tasks' noise seeds, so a population changes nothing else of a task.
+        """
+        vehicle = torch.arange(task.direction.shape[1], device=task.direction.device)
+        key = mix(mix(mix(task.noise_seed)[:, None] + vehicle) + CAST)
+        driver = torch.searchsorted(self._until, uniform(key, 0), right=True).clamp(max=len(self._until) - 1)
+        driver[:, EGO] = NOBODY
+        style, has_own = task.style_horizon, torch.zeros_like(driver, dtype=torch.bool)
+        redraw_steps = torch.zeros_like(driver)
+        redrawn = style.new_full((*driver.shape, self._n_redrawn), torch.nan)
+        for index in range(len(self.names)):
+            is_its, planner = driver == index, self._planners.get(index)
+            if planner is None:
+                style, has_own = torch.where(is_its, torch.nan, style), has_own | is_its
+            elif planner.is_own:
+                style, has_own = torch.where(is_its, planner.draw(uniform(key, 1)), style), has_own | is_its
+                if n_kept := self._redraw_steps[index]:
+                    redraw_steps = torch.where(is_its, n_kept, redraw_steps)
+                    drawn = torch.stack([planner.draw(uniform(key, 1 + i)) for i in range(self._n_redrawn)], -1)
+                    redrawn = torch.where(is_its[..., None], drawn, redrawn)
+        return replace(
+            task,
+            casting=Casting(driver, redraw_steps, redrawn),
+            style_horizon=style,
+            next_style_horizon=torch.where(has_own, torch.nan, task.next_style_horizon),
+            switch_time=torch.where(has_own, torch.inf, task.switch_time),
+            patience=torch.where(has_own, torch.inf, task.patience),
+        )
+
+    def drive(self, perception: Perception, horizon: Tensor, plan: Plan) -> Motion:
+        """Motion of S agents [E, S] by the rules of their drivers, else by the planner.
+
+        horizon: [E, S] s, of those who follow the planner and do not choose by a rule
+        """
+        for index, choose in self._horizon_rules.items():
+            horizon = torch.where(perception.driver == index, choose(perception), horizon)
+        motion = plan(perception, horizon)
+        for index, rule in self._motion_rules.items():
+            motion = tree_where(perception.driver == index, rule(perception), motion)
+        return motion

@@ -1,0 +1,164 @@
+"""Driving along the own route at the speed of the Intelligent Driver Model (Treiber et al. 2000), without a planner.
+
+What stands in the way is a `Hindrance`: a vehicle ahead, an oncoming vehicle in the corridor, a line to wait at. The
+drivers that follow their route differ in which hindrances they heed.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from negopipe.agents.driver_config import MotionRule
+from negopipe.agents.encounter import Encounter, encounter
+from negopipe.schema import NonNegativeMetres, PositiveFloat, schema
+from negopipe.simulation.perception import Perception
+from negopipe.simulation.road import RouteState
+from negopipe.simulation.simulator import Simulator
+from negopipe.simulation.state import Motion
+from negopipe.tensors.tree import map_tensors
+
+FREE_M = 1e3
+"""Gap of a vehicle without an obstacle ahead, m."""
+LEAST_GAP_M = 0.1
+"""Smallest gap by which the model divides, m."""
+FARTHEST_M = 50.0
+"""Length of the search for a waiting place, before the mouth, m."""
+STEP_M = 0.25
+"""Spacing of the waiting places that are tried, m."""
+
+
+@schema
+class RouteFollowingConfig(MotionRule):
+    """Parameters of the Intelligent Driver Model; `conf/evaluation/baseline/idm.yaml` says what each value means."""
+
+    accel_mps2: PositiveFloat
+    decel_mps2: PositiveFloat
+    braking_max_mps2: PositiveFloat
+    gap_m: NonNegativeMetres
+    headway_s: PositiveFloat
+
+    def rule(self, simulator: Simulator) -> Callable[[Perception], Motion]:
+        hindered = self.hindrance(simulator)
+
+        def drive(perception: Perception) -> Motion:
+            met = encounter(simulator.road, simulator.scenario.vehicle.length_m, perception)
+            hindrance = nearest(hindered(perception, met), vehicle_ahead(met, simulator.scenario.vehicle.length_m))
+            return follow_route(simulator, self, perception, met.own, hindrance)
+
+        return drive
+
+    def hindrance(self, simulator: Simulator) -> "Callable[[Perception, Encounter], Hindrance]":
+        """The hindrance that this kind of driver heeds beside a vehicle ahead of it."""
+        raise NotImplementedError
+
+
+class Hindrance(NamedTuple):
+    """An obstacle ahead: gap_m [E, S], distance to it; closing_mps [E, S], rate at which the gap shrinks."""
+
+    gap_m: Tensor
+    closing_mps: Tensor
+
+
+def follow_route(
+    simulator: Simulator, config: RouteFollowingConfig, perception: Perception, now: RouteState, hindrance: Hindrance
+) -> Motion:
+    """Motion of S agents on their routes in the next control step."""
+    road, dt_s = simulator.road, simulator.scenario.dt_s
+    speed = now.s_dot + dt_s * idm(config, now.s_dot, perception.desired_speed, hindrance)
+    speed = speed.clamp(min=0)
+    s = now.s + (now.s_dot + speed) / 2 * dt_s
+    route = RouteState(s, speed, (speed - now.s_dot) / dt_s, *road.route_offset(s, perception.direction))
+    no_horizon, no = torch.full_like(s, torch.nan), torch.zeros_like(s, dtype=torch.bool)
+    return Motion(road.to_world(route, perception.direction), no_horizon, no)
+
+
+def idm(config: RouteFollowingConfig, speed: Tensor, desired_speed: Tensor, hindrance: Hindrance) -> Tensor:
+    """Acceleration [E, S], m/s2 (Treiber et al. 2000, Eq. 2 and 3)."""
+    braking = speed * hindrance.closing_mps / (2 * (config.accel_mps2 * config.decel_mps2) ** 0.5)
+    wanted_gap = config.gap_m + (speed * config.headway_s + braking).clamp(min=0)
+    share = (speed / desired_speed.clamp(min=0.1)) ** 4
+    accel = config.accel_mps2 * (1 - share - (wanted_gap / hindrance.gap_m.clamp(min=LEAST_GAP_M)) ** 2)
+    return accel.clamp(min=-config.braking_max_mps2)
+
+
+def vehicle_ahead(met: Encounter, length_m: float) -> Hindrance:
+    """The nearest vehicle that drives ahead in the same direction."""
+    return _nearest_of(met, met.is_ahead, met.other_s - met.own.s[..., None] - length_m, -met.other_speed)
+
+
+def nose_to_nose(met: Encounter, length_m: float) -> Hindrance:
+    """The nearest oncoming vehicle, where both have their fronts in the corridor."""
+    is_inside = (met.own.s[..., None] > -length_m / 2) & (met.other_s > -length_m / 2)
+    in_the_way = met.is_oncoming & is_inside & (met.apart_m > 0)
+    return _nearest_of(met, in_the_way, met.apart_m - length_m, met.other_speed)
+
+
+def on_route(simulator: Simulator, perception: Perception, met: Encounter) -> Hindrance:
+    """The nearest oncoming vehicle that stands on the own route now, or is nose to nose in the corridor."""
+    length_m, shape = simulator.scenario.vehicle.length_m, met.apart_m.shape
+    others = map_tensors(lambda field: field.flatten(0, 1), perception.other)
+    direction = perception.direction.flatten()[:, None]
+    stands_on_route = simulator.collisions.stands_on_route(others, direction).reshape(shape)
+    in_the_way = met.is_oncoming & stands_on_route & (met.apart_m > 0)
+    on_it = _nearest_of(met, in_the_way, met.apart_m - length_m, met.other_speed)
+    return nearest(on_it, nose_to_nose(met, length_m))
+
+
+def stop_line(met: Encounter, must_wait: Tensor, place: "WaitingPlace", gap_m: float, direction: Tensor) -> Hindrance:
+    """The line before the corridor at which an agent that `must_wait` [E, S] comes to rest.
+
+    It counts also past the line, as long as the other can still pass.
+    """
+    is_along = (direction > 0).long()
+    can_wait = met.own.s < place.latest_m[is_along] + LEAST_GAP_M
+    left = place.wanted_m[is_along] - met.own.s
+    return Hindrance(torch.where(must_wait & can_wait, left + gap_m, FREE_M), met.own.s_dot)
+
+
+class WaitingPlace(NamedTuple):
+    """Where a vehicle waits, by direction (index 1 = along the line), m on its route.
+
+    wanted_m: [2] float32, where it comes to rest
+    latest_m: [2] float32, the last place that the other can pass
+    """
+
+    wanted_m: Tensor
+    latest_m: Tensor
+
+
+def waiting_places(simulator: Simulator, stop_s_m: float) -> WaitingPlace:
+    """Waiting places at `stop_s_m`, or at the next place from there on that the other can pass on its route."""
+    return WaitingPlace(_by_direction(simulator, stop_s_m), _by_direction(simulator, 0.0))
+
+
+def waiting_place(simulator: Simulator, latest_s_m: float, direction: float) -> float:
+    """s (m) of the last place on the own route, `latest_s_m` at most, that the other can pass on its route.
+
+    It is -inf where there is none within `FARTHEST_M`.
+    """
+    road, s = simulator.road, torch.arange(latest_s_m, -FARTHEST_M, -STEP_M, device=simulator.road.parked_cars.device)
+    own, zero = torch.full_like(s, direction), torch.zeros_like(s)
+    standing = road.to_world(RouteState(s, zero, zero, *road.route_offset(s, own)), own)
+    waiting = map_tensors(lambda field: field[:, None], standing)
+    is_passable = ~simulator.collisions.stands_on_route(waiting, -own[:, None])[:, 0]
+    return float(s[is_passable].max()) if is_passable.any() else -torch.inf
+
+
+def nearest(a: Hindrance, b: Hindrance) -> Hindrance:
+    """The nearer one of two hindrances, world by world."""
+    is_a = a.gap_m <= b.gap_m
+    return Hindrance(*(torch.where(is_a, of_a, of_b) for of_a, of_b in zip(a, b, strict=True)))
+
+
+def _nearest_of(met: Encounter, is_counted: Tensor, gap_m: Tensor, approaching_mps: Tensor) -> Hindrance:
+    """The nearest of those others that count; gaps, and their speeds towards the agent, [E, S, O]."""
+    gap, which = torch.where(is_counted, gap_m, FREE_M).min(-1, keepdim=True)
+    return Hindrance(gap[..., 0], met.own.s_dot + approaching_mps.gather(-1, which)[..., 0])
+
+
+def _by_direction(simulator: Simulator, latest_s_m: float) -> Tensor:
+    """[2] float32: waiting places of vehicles that drive against the line and along it, m."""
+    places = [waiting_place(simulator, latest_s_m, direction) for direction in (-1.0, 1.0)]
+    return torch.tensor(places, device=simulator.road.parked_cars.device)
