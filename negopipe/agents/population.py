@@ -4,11 +4,12 @@
 mixture in the batch.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from math import ceil
 from typing import Annotated, Literal
 
+import numpy as np
 import torch
 from pydantic import Field, model_validator
 from torch import Tensor
@@ -27,9 +28,6 @@ from negopipe.tensors.tree import tree_where
 
 CAST = 0xCA57
 """Offset of the key from which drivers and their horizons are drawn, apart from the other draws of an episode."""
-
-WITHOUT_POLICY = {"behaviour_map", "oracle", "benchmark"}
-"""Stages that drive without the run's policy."""
 
 
 @schema
@@ -130,12 +128,11 @@ class PopulationConfig:
         for name, each in self.drivers.items():
             yield from each.driver.check(f"population.drivers.{name}.driver", dt_s, plan_s)
 
-    def check_self(self, stages: Collection[str]) -> Iterator[Problem]:
-        """The policy itself can drive only where one is trained or evaluated."""
-        without = sorted(WITHOUT_POLICY & set(stages))
+    def check_self(self, place: str) -> Iterator[Problem]:
+        """A `place` where no policy is trained or evaluated, so that none can drive as itself."""
         for name, each in self.drivers.items():
-            if isinstance(each.driver, SelfDriver) and without:
-                rule = f"name a checkpoint (kind: policy) in the stage {without[0]}, where no policy is at hand"
+            if isinstance(each.driver, SelfDriver):
+                rule = f"name a checkpoint (kind: policy) in {place}, where no policy is at hand"
                 yield Problem(f"population.drivers.{name}.driver.kind", rule, each.driver.kind)
 
 
@@ -188,6 +185,10 @@ class Cast:
             switch_time=torch.where(has_own, torch.inf, task.switch_time),
             patience=torch.where(has_own, torch.inf, task.patience),
         )
+
+    def named(self, driver: Tensor) -> np.ndarray:
+        """Names [E, V] of the drivers [E, V]; empty where a vehicle has none."""
+        return np.array(["", *self.names])[driver.cpu().numpy() - NOBODY]
 
     def drive(self, perception: Perception, horizon: Tensor, plan: Plan) -> Motion:
         """Motion of S agents [E, S] by the rules of their drivers, else by the planner.

@@ -41,6 +41,9 @@ Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracl
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 """<setting>/<planner>/<number>, columns of episodes.csv."""
 
+WITHOUT_POLICY = {"behaviour_map", "oracle", "benchmark"}
+"""Stages that drive without the run's policy."""
+
 RESULT_NEUTRAL = {
     "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "tracking",
 }  # fmt: skip
@@ -153,7 +156,8 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
     yield from check_policy(config.policy, config.observation.n_cells, dt_s, plan_s)
     yield from scenario.check(plan_s)
     yield from config.population.check(dt_s, plan_s)
-    yield from config.population.check_self(stages)
+    for stage in sorted(WITHOUT_POLICY & stages):
+        yield from config.population.check_self(f"the stage {stage}")
     yield from config.curriculum.check(dt_s, plan_s)
     yield from evaluation.check(scenario, plan_s)
     driven = set(evaluation.settings)

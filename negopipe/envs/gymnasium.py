@@ -35,6 +35,7 @@ from negopipe.errors import UserError, abbreviate
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import build_game
 from negopipe.learning.rollout import Transition
+from negopipe.runtime.build import with_learned
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.torch_settings import own_settings
 
@@ -45,7 +46,7 @@ RESET_MASK = "reset_mask"
 """gymnasium's name of the option of `reset` that selects the worlds in which a new task starts."""
 
 KEYS = (
-    *("scenario", "perception", "dynamics", "planner", "observation", "reward"),
+    *("scenario", "population", "perception", "dynamics", "planner", "observation", "reward"),
     *("policy.horizons_s", "evaluation.settings"),
 )
 """Keys that an environment depends on."""
@@ -80,6 +81,8 @@ def config_of(overrides: Sequence[str]) -> RunConfig:
     if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides):
         raise UserError(f"overrides must be a sequence of texts key=value, got {abbreviate(repr(overrides))}")
     config = compose_config(overrides)
+    for problem in config.population.check_self("an environment"):
+        raise UserError(f"{problem.key} must {problem.rule}, got {problem.value}")
     for index, override in enumerate(overrides):
         if not _is_acting(override) and _is_valid([*overrides[:index], *overrides[index + 1 :]]):
             allowed = f"of {', '.join(KEYS)} or options of {', '.join(GROUPS)}"
@@ -108,7 +111,7 @@ class _Worlds:
     _worlds: NegotiationEnv
 
     def _set_up(self, config: RunConfig, n_worlds: int) -> None:
-        game = build_game(config)
+        game = with_learned(build_game(config), config, None)
         sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator(), game.cast.assign)
         self._config = config
         self._worlds = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)

@@ -135,7 +135,8 @@ def _record(
     rows["n_steps"] = world.step
     rows["reached_step"] = _first_time(rows.pop("has_reached"))
     rows |= {"start_distance_m": tasks.start_distance, "style_horizon_s": tasks.style_horizon}
-    return {name: value.cpu().numpy() for name, value in rows.items()}
+    driver = game.cast.named(tasks.casting.driver)
+    return {name: value.cpu().numpy() for name, value in rows.items()} | {"driver": driver}
 
 
 def _decide(

@@ -103,6 +103,7 @@ COLUMNS = (
     EpisodeColumn(
         "style_horizon_s", float, lambda d: d.trace.style_horizon_s[:, NEAREST], "style of the nearest social vehicle"
     ),
+    EpisodeColumn("social_driver", str, lambda d: d.trace.driver[:, NEAREST], "driver of the nearest social vehicle"),
     EpisodeColumn(
         "outcome",
         str,

@@ -212,20 +212,28 @@ MEASURES = (
 """In reading order, which is the order of columns in tables."""
 
 
+BY_DRIVER = "social_driver"
+"""Column of episodes.csv by which the measures are split."""
+
+
 def summary(table: pd.DataFrame) -> dict[str, Any]:
     """`evaluation.<setting>.<planner>.<measure>` as nested dicts of plain numbers, from rows of episodes.csv.
 
     Beside the measures stand `n_episodes` and, for a share with an interval, `<stem>_low` and `<stem>_high`. A measure
-    is None where no episode has a value. Measures of columns that the table lacks are left out.
+    is None where no episode has a value. Measures of columns that the table lacks are left out. Where several drivers
+    drive the nearest social vehicle, `by_driver.<driver>` has the same for the episodes of each.
     """
     evaluation: dict[str, dict[str, Any]] = {}
+    has_drivers = BY_DRIVER in table and table[BY_DRIVER].nunique() > 1
     for (setting, planner), rows in table.groupby(["setting", "planner"], sort=False):
-        evaluation.setdefault(str(setting), {})[str(planner)] = _of_planner(rows)
+        values = evaluation.setdefault(str(setting), {})[str(planner)] = _of_planner(rows)
+        if has_drivers:
+            values["by_driver"] = {str(name): _of_planner(part) for name, part in rows.groupby(BY_DRIVER)}
     return {"evaluation": evaluation}
 
 
-def _of_planner(rows: pd.DataFrame) -> dict[str, float | int | None]:
-    values: dict[str, float | int | None] = {"n_episodes": len(rows)}
+def _of_planner(rows: pd.DataFrame) -> dict[str, Any]:
+    values: dict[str, Any] = {"n_episodes": len(rows)}
     for measure in (measure for measure in MEASURES if measure.column in rows):
         found = measure.aggregate(rows[measure.column])
         if isinstance(found, Estimate):

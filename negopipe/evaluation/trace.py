@@ -35,7 +35,8 @@ class Trace:
     setting: name of the evaluated setting, e.g. "push"
     dt_s: float, time between decisions
     start_distance_m: [E, V] float32, m, to the mouth that the vehicle meets first
-    style_horizon_s: [E, V] float32, s, style in which the social vehicles start; NaN for the ego
+    style_horizon_s: [E, V] float32, s, style at the start; NaN where a driver chooses its horizons
+    driver: [E, V] str, name of the vehicle's driver in the population; empty for the ego
     position_m: [T+1, E, V, 2] float32, world frame
     yaw_rad: [T+1, E, V] float32, world frame
     speed_mps: [T+1, E, V] float32
@@ -53,6 +54,7 @@ class Trace:
     dt_s: float
     start_distance_m: np.ndarray
     style_horizon_s: np.ndarray
+    driver: np.ndarray
     position_m: np.ndarray
     yaw_rad: np.ndarray
     speed_mps: np.ndarray
@@ -74,7 +76,7 @@ class Trace:
 
 
 EPISODE_AXIS = {
-    "start_distance_m": 0, "style_horizon_s": 0, "n_steps": 0, "reached_step": 0, "outcome": 0,
+    "start_distance_m": 0, "style_horizon_s": 0, "driver": 0, "n_steps": 0, "reached_step": 0, "outcome": 0,
     "position_m": 1, "yaw_rad": 1, "speed_mps": 1, "progress_m": 1,
     "horizon_s": 1, "is_full_braking": 1, "reward": 1,
 }  # fmt: skip
@@ -90,7 +92,7 @@ def trace_bytes(n_episodes: int, episode_steps: int, n_vehicles: int) -> int:
     return n_episodes * episode_steps * n_vehicles * STEP_BYTES * N_COPIES
 
 
-_FORMAT = "negopipe traces 2"
+_FORMAT = "negopipe traces 3"
 """Written into every file; the number changes when a field of `Trace` changes."""
 
 

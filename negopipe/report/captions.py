@@ -37,12 +37,12 @@ CAPTIONS = {
     ),
     "film": (
         "{setting}, episode {episode}: {planners}",
-        """The ego comes from the left in its planner's colour, the social vehicle (style {style_s:g} s) from the right
+        """The ego comes from the left in its planner's colour, the social vehicle ({style}) from the right
         in grey. Ribbon: the ego's prediction of the social vehicle.""",
     ),
     "film_alone": (
         "{setting}, episode {episode}: {planners}, {which}",
-        """The ego comes from the left, the social vehicle (style {style_s:g} s) from the right in grey. Ribbon: the
+        """The ego comes from the left, the social vehicle ({style}) from the right in grey. Ribbon: the
         ego's prediction of the social vehicle. Below the road: the occupancy grids that the policy observes (ahead is
         to the right) and its probability of each prediction horizon.""",
     ),

@@ -82,6 +82,33 @@ def _stacked_bars(axis: Axes, share: pd.DataFrame) -> None:
     axis.tick_params(axis="y", length=0)
 
 
+OPPONENT_LABEL = {
+    False: "prediction horizon of the social driver [s], short = aggressive",
+    True: "driver of the nearest social vehicle",
+}
+"""Label of an axis of styles, and of one of drivers."""
+
+MOST_STYLES = 8
+"""Styles that are told apart; more of them, as from an interval, are rounded to seconds."""
+
+
+def has_drivers(table: pd.DataFrame) -> bool:
+    """Whether several drivers of a population meet the ego."""
+    return "social_driver" in table and table["social_driver"].nunique() > 1
+
+
+def opponent(table: pd.DataFrame) -> pd.Series:
+    """Whom the ego meets in each episode: the driver's name where there are several drivers, else the style in s."""
+    if has_drivers(table):
+        return table["social_driver"]
+    styles = table["style_horizon_s"]
+    return styles if styles.nunique() <= MOST_STYLES else styles.round()
+
+
+def _opponent_text(name: float | str) -> str:
+    return name if isinstance(name, str) else f"{name:g}"
+
+
 @styled
 def success_by_style(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
     """Success rate of every planner against every style of the social driver, one panel per setting."""
@@ -91,11 +118,11 @@ def success_by_style(table: pd.DataFrame, fixed_s: FixedHorizons) -> Figure:
     ended = table.assign(is_success=table["outcome"] == "success")
     for axis, setting in zip(axes, settings, strict=True):
         rows = ended[ended["setting"] == setting]
-        rate = 100 * rows.pivot_table(index="planner", columns="style_horizon_s", values="is_success")
+        rate = 100 * rows.pivot_table(index="planner", columns=opponent(rows), values="is_success")
         _rates(axis, rate.reindex(index=planners))
         axis.set_yticks(range(len(planners)), [planner_label(planner, fixed_s) for planner in planners])
         axis.set_title(f"{setting_label(setting)}: success rate [%]")
-    axes[-1].set_xlabel("prediction horizon of the social driver [s], short = aggressive")
+    axes[-1].set_xlabel(OPPONENT_LABEL[has_drivers(table)])
     return figure
 
 
@@ -105,7 +132,7 @@ def _rates(axis: Axes, rate: pd.DataFrame) -> None:
     for (row, column), value in np.ndenumerate(rate.to_numpy()):
         text = "" if np.isnan(value) else f"{value:.0f}"
         axis.text(column, row, text, ha="center", va="center", color="white" if value > 75 else INK, fontsize=8)
-    axis.set_xticks(range(rate.shape[1]), [f"{style:g}" for style in rate.columns])
+    axis.set_xticks(range(rate.shape[1]), [_opponent_text(name) for name in rate.columns])
     axis.tick_params(length=0)
     axis.spines[:].set_visible(False)
 
@@ -124,20 +151,21 @@ def outcome_map(
     distance = whole["social_start_distance_m"].to_numpy()
     edges = BIN_M * np.arange(np.floor(distance.min() / BIN_M), np.floor(distance.max() / BIN_M) + 2)
     edges = edges.clip(distance.min(), distance.max())
-    styles = np.sort(whole["style_horizon_s"].unique())
+    rows_of, all_rows = opponent(episodes), opponent(whole)
+    styles = np.sort(all_rows.unique())
     figure = Figure((WIDTH_IN, 1.3 + 0.45 * len(styles)), layout="constrained")
     axis = figure.subplots()
     for row, style in enumerate(styles):
-        of_style = episodes[episodes["style_horizon_s"] == style]
+        of_style = episodes[rows_of == style]
         _outcome_bars(axis, row, of_style, edges)
     for first, last in unseen_m:
         axis.plot(
             (first, last), (len(styles) - 0.42,) * 2, color=INK, linewidth=3, solid_capstyle="butt", clip_on=False
         )
     axis.set(xlim=(edges[0] - BIN_M, edges[-1] + BIN_M), ylim=(len(styles) - 0.35, -0.5))
-    axis.set_yticks(range(len(styles)), [f"{style:g} s" for style in styles])
+    axis.set_yticks(range(len(styles)), [_opponent_text(style) for style in styles])
     axis.set_xlabel("start distance of the social driver [m]")
-    axis.set_ylabel("style [s]")
+    axis.set_ylabel("driver" if has_drivers(whole) else "style [s]")
     axis.set_title(title)
     axis.tick_params(axis="y", length=0)
     outcome_legend(figure, whole["outcome"].unique())

@@ -47,9 +47,9 @@ def _check_same_tasks(group: list[Trace]) -> None:
     first = group[0]
     for trace in group[1:]:
         own, other = (each.first(min(len(trace.n_steps), len(first.n_steps))) for each in (trace, first))
-        is_same = np.array_equal(own.start_distance_m, other.start_distance_m) and np.array_equal(
-            own.style_horizon_s, other.style_horizon_s, equal_nan=True
-        )
+        is_same = np.array_equal(own.start_distance_m, other.start_distance_m)
+        is_same &= np.array_equal(own.style_horizon_s, other.style_horizon_s, equal_nan=True)
+        is_same &= np.array_equal(own.driver, other.driver)
         if not is_same:
             planners = f"{first.planner} and {trace.planner}"
             raise UserError(f"traces.npz: {planners} drove different tasks in {first.setting}; evaluate them anew")

@@ -4,6 +4,7 @@ import logging
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 
 from negopipe.evaluation.replay import PolicyTrace
@@ -30,6 +31,7 @@ from negopipe.report.captions import NOT_TRAINED, WATCH, caption
 from negopipe.report.labels import planner_label, setting_label
 from negopipe.report.map_figure import behaviour_map as map_figure
 from negopipe.report.map_figure import reading as map_reading
+from negopipe.report.outcome_figures import opponent
 from negopipe.report.page import FigureItem, ReportConfig, Section
 from negopipe.report.run_files import named
 from negopipe.simulation.state import NEAREST
@@ -85,7 +87,7 @@ def planners_section(
         items.append(writer.figure(f"comparison_{'_'.join(pair)}", drawing, title, reading))
     items.append(writer.figure("outcomes", outcome_figures.outcomes(table, fixed_s), *caption("outcomes")))
     items.append(writer.figure("arrivals", outcome_figures.arrivals(table, fixed_s), *caption("arrivals")))
-    has_styles = table.groupby("setting")["style_horizon_s"].transform("nunique") > 1
+    has_styles = table.assign(met=opponent(table)).groupby("setting")["met"].transform("nunique") > 1
     if has_styles.any():
         drawing = outcome_figures.success_by_style(table[has_styles], fixed_s)
         items.append(writer.figure("success_by_style", drawing, *caption("success_by_style")))
@@ -173,9 +175,15 @@ def _film(
         episode=episode,
         planners=", ".join(planner_label(shown.planner, fixed_s) for shown in traces),
         which="lowest return" if name.endswith("_worst") else "typical",
-        style_s=trace.style_horizon_s[episode, NEAREST],
+        style=_style_text(trace, episode),
     )
     return writer.animation(name, gif, still, title, reading)
+
+
+def _style_text(trace: Trace, episode: int) -> str:
+    """How the nearest social vehicle drives: `style 6 s`, or the driver's name where it has no style."""
+    style_s = trace.style_horizon_s[episode, NEAREST]
+    return str(trace.driver[episode, NEAREST]) if np.isnan(style_s) else f"style {style_s:g} s"
 
 
 def behaviour_section(

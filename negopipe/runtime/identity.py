@@ -11,7 +11,18 @@ from negopipe.config.root import RunConfig, as_mapping
 from negopipe.tracking.checkpoint import find_checkpoint
 from negopipe.tracking.pretrained import find_oracle
 
-_GAME = ("seed", "device", "compile", "scenario", "perception", "dynamics", "planner", "observation", "policy")
+_GAME = (
+    "seed",
+    "device",
+    "compile",
+    "scenario",
+    "population",
+    "perception",
+    "dynamics",
+    "planner",
+    "observation",
+    "policy",
+)
 _TRAINING = (*_GAME, "reward", "algorithm", "curriculum")
 DEPENDS_ON = {
     "train": _TRAINING,

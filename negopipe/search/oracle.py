@@ -42,6 +42,8 @@ N_ALIKE = 8
 ACTION_BYTES = 8
 SAME_REWARD = 1e-6
 NEVER_S = 100.0
+DRIVER_M = 100.0
+"""Distance of two drivers in the similarity of tasks, so that tasks with one driver are similar."""
 STYLE_M_PER_S = 10.0
 """Weight of a style against start distances in the similarity of tasks: 0.1 s of a style counts as 1 m, so that tasks
 of one style are similar."""
@@ -209,7 +211,8 @@ def alike(tasks: Task) -> Tensor:
     """[N, K] int64: the most similar other tasks of each task; the task itself if there is no other."""
     styles = torch.cat([tasks.style_horizon, tasks.next_style_horizon, tasks.switch_time, tasks.patience], 1)
     styles = styles.nan_to_num(nan=-1.0, posinf=NEVER_S)
-    features = torch.cat([tasks.start_distance, STYLE_M_PER_S * styles], 1).double()
+    drivers = DRIVER_M * tasks.casting.driver
+    features = torch.cat([tasks.start_distance, STYLE_M_PER_S * styles, drivers], 1).double()
     apart = torch.cdist(features, features).fill_diagonal_(-1.0)
     n_others = min(N_ALIKE, len(tasks) - 1)
     return apart.argsort(dim=1, stable=True)[:, min(1, n_others) : n_others + 1]

@@ -108,6 +108,12 @@ def _is_of(found: pd.DataFrame, tasks: Task) -> bool:
     """The rows have the starts and styles of the first tasks."""
     drawn = (tasks.start_distance[:, EGO], tasks.start_distance[:, NEAREST], tasks.style_horizon[:, NEAREST])
     return all(
-        np.allclose(found[column].to_numpy(float), values[: len(found)].cpu().numpy(), rtol=0.0, atol=SAME_START_M)
+        np.allclose(
+            found[column].to_numpy(float),
+            values[: len(found)].cpu().numpy(),
+            rtol=0.0,
+            atol=SAME_START_M,
+            equal_nan=True,
+        )
         for column, values in zip(START, drawn, strict=True)
     )

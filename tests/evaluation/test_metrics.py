@@ -31,6 +31,7 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
         dt_s=DT_S,
         start_distance_m=start,
         style_horizon_s=np.array([[np.nan, 6.0]], dtype=np.float32),
+        driver=np.array([["", "planner"]]),
         position_m=np.zeros((n_states, 1, 2, 2), dtype=np.float32),
         yaw_rad=np.zeros((n_states, 1, 2), dtype=np.float32),
         speed_mps=speed,
@@ -50,7 +51,7 @@ def drives_of(trace: Trace) -> Drives:
 
 def concatenate(*traces: Trace) -> Trace:
     """Several one-episode traces of equal length as one trace."""
-    axis = {"start_distance_m": 0, "style_horizon_s": 0, "n_steps": 0, "reached_step": 0, "outcome": 0}
+    axis = {"start_distance_m": 0, "style_horizon_s": 0, "driver": 0, "n_steps": 0, "reached_step": 0, "outcome": 0}
     axis |= dict.fromkeys(("position_m", "yaw_rad", "speed_mps", "progress_m"), 1)
     axis |= dict.fromkeys(("horizon_s", "is_full_braking", "reward"), 1)
     merged = {name: np.concatenate([getattr(t, name) for t in traces], i) for name, i in axis.items()}

@@ -52,6 +52,7 @@ def make_trace(social_x_m: list[list[float]]) -> Trace:
         dt_s=0.2,
         start_distance_m=np.zeros((1, n_vehicles)),
         style_horizon_s=np.zeros((1, n_vehicles)),
+        driver=np.full((1, n_vehicles), "planner"),
         position_m=np.stack([x, np.zeros_like(x)], -1),
         yaw_rad=np.broadcast_to(facing, x.shape).copy(),
         speed_mps=np.zeros_like(x),

@@ -23,6 +23,7 @@ def make_trace(planner: str, seed: int) -> Trace:
         dt_s=0.2,
         start_distance_m=floats(3, 2),
         style_horizon_s=np.array([[np.nan, 2.0]] * 3, dtype=np.float32),
+        driver=np.array([["", "planner"]] * 3),
         position_m=floats(6, 3, 2, 2),
         yaw_rad=floats(6, 3, 2),
         speed_mps=floats(6, 3, 2),

@@ -89,6 +89,7 @@ def _finish(
         dt_s=DT_S,
         start_distance_m=start.astype(np.float32),
         style_horizon_s=np.tile(np.float32([np.nan, STYLE_S[family]]), (n_episodes, 1)),
+        driver=np.tile(np.array(["", "planner"]), (n_episodes, 1)),
         position_m=np.stack([direction * (s - CORRIDOR_M / 2), direction * _offset(s)], -1).astype(np.float32),
         yaw_rad=(np.arctan(slope) + np.array([0, np.pi])).astype(np.float32),
         speed_mps=v.astype(np.float32),

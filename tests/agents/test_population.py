@@ -1,0 +1,237 @@
+"""The population: who drives the social vehicles, alone and mixed in a batch, and on either side."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from games import MIXTURE, draw_tasks
+from torch import Tensor
+
+from negopipe.agents.driver import HorizonDriver
+from negopipe.agents.driver_config import DriverConfig
+from negopipe.agents.horizon_drivers import adaptive_planner
+from negopipe.agents.learned import Learned, with_policies
+from negopipe.agents.population import Cast
+from negopipe.config.compose import load_config
+from negopipe.config.root import RunConfig
+from negopipe.errors import UserError
+from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.metrics import passes_first
+from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
+from negopipe.game.game import Game, build_game
+from negopipe.policy.actor_critic import grid_actor_critic
+from negopipe.simulation.scenario import TaskSampler
+from negopipe.simulation.state import EGO, NOBODY, Task
+from negopipe.tensors.tree import map_tensors, named_tensors
+
+RULES = ("idm", "cautious", "give_way", "direction_first")
+EVERYONE = ("planner", "any_horizon", "undecided", *RULES)
+SHORT = "scenario.episode_steps=50"
+
+
+def config_with(*drivers: str, **values: object) -> RunConfig:
+    changes = [f"population.drivers.{key.replace('__', '.')}={value}" for key, value in values.items()]
+    return load_config(f"population/driver=[{','.join(drivers)}]", SHORT, *changes)
+
+
+def tasks_of(config: RunConfig, game: Game, n: int) -> Task:
+    generator = torch.Generator().manual_seed(0)
+    return TaskSampler(config.scenario, MIXTURE, generator, game.cast.assign).draw(n)
+
+
+def drive(config: RunConfig, game: Game, ego: str, tasks: Task, n_worlds: int = 64) -> Trace:
+    every = load_config("evaluation/baseline=[fixed_4,idm,cautious,give_way,direction_first]", "report.side_by_side=[]")
+    make_ego = partial(every.evaluation.baselines[ego].driver, game)
+    return drive_episodes(game, make_ego, tasks, n_worlds, config.evaluation.reward, (ego, "x"))
+
+
+def rows(trace: Trace, which: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: np.take(getattr(trace, name), which, axis) for name, axis in EPISODE_AXIS.items()}
+
+
+def test_the_default_population_changes_no_task(config: RunConfig, game: Game) -> None:
+    plain = draw_tasks(config, 50)
+    cast = game.cast.assign(plain)
+    assert cast.casting.driver.tolist() == [[NOBODY, 0]] * 50
+    before, after = named_tensors(plain), named_tensors(replace(cast, casting=plain.casting))
+    assert all(torch.equal(after[name].nan_to_num(-1), field.nan_to_num(-1)) for name, field in before.items())
+
+
+def test_drivers_have_their_shares() -> None:
+    config = config_with("idm", "cautious", "planner", cautious__weight=2.0, planner__weight=0.0)
+    drivers = tasks_of(config, build_game(config), 3000).casting.driver[:, EGO + 1]
+    shares = [(drivers == index).float().mean().item() for index in range(3)]
+    assert shares == pytest.approx([1 / 3, 2 / 3, 0.0], abs=0.03)
+
+
+def test_every_vehicle_has_a_driver_of_its_own() -> None:
+    config = load_config("population/driver=[idm,cautious]", "scenario.n_social=3")
+    drivers = tasks_of(config, build_game(config), 500).casting.driver
+    assert (drivers[:, EGO] == NOBODY).all()
+    assert len(drivers[:, 1:].unique(dim=0)) == 2**3
+
+
+def test_mixed_drivers_drive_as_each_alone() -> None:
+    config = config_with(*EVERYONE)
+    game = build_game(config)
+    tasks = tasks_of(config, game, 42)
+    mixed = drive(config, game, "fixed_4", tasks)
+    for index, name in enumerate(EVERYONE):
+        which = (tasks.casting.driver[:, 1] == index).nonzero()[:, 0].numpy()
+        assert len(which) > 0, name
+        alone = config_with(name)
+        own_game = build_game(alone)
+        trace = drive(alone, own_game, "fixed_4", tasks_of(alone, own_game, 42))
+        expected, got = rows(trace, which), rows(mixed, which)
+        for field, values in expected.items():
+            np.testing.assert_allclose(got[field], values, atol=1e-4, err_msg=f"{name} {field}")
+
+
+def test_a_batch_is_its_worlds_one_by_one() -> None:
+    config = config_with(*EVERYONE)
+    game = build_game(config)
+    tasks = tasks_of(config, game, 14)
+    together, apart = drive(config, game, "fixed_4", tasks), drive(config, game, "fixed_4", tasks, n_worlds=1)
+    assert together.outcome.tolist() == apart.outcome.tolist()
+    np.testing.assert_allclose(together.position_m, apart.position_m, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["idm", "cautious", "give_way"])
+def test_a_social_driver_is_the_baseline_of_its_name(name: str) -> None:
+    """Two of a kind with exchanged starts drive each other's mirrored drive."""
+    config = config_with(name)
+    game = build_game(config)
+    tasks = tasks_of(config, game, 12)
+    exchanged = replace(tasks, start_distance=tasks.start_distance.flip(1))
+    there, back = (drive(config, game, name, each) for each in (tasks, exchanged))
+    for vehicle in (0, 1):
+        np.testing.assert_allclose(there.position_m[:, :, vehicle], -back.position_m[:, :, 1 - vehicle], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "first", "goes_first"),
+    [
+        ("narrow_lane", "along", "ego"), ("narrow_lane", "against", "social"), ("narrow_lane", "free_side", "ego"),
+        ("one_sided", "free_side", "ego"), ("one_sided scenario.road.parked_sides=right", "free_side", "social"),
+    ],
+)  # fmt: skip
+def test_one_direction_goes_first(scenario: str, first: str, goes_first: str) -> None:
+    """Whoever arrives first; one_sided has the cars on the left, where the social vehicle drives."""
+    value = f"population.drivers.direction_first.driver.first={first}"
+    config = load_config(*f"scenario={scenario}".split(), "population/driver=[direction_first]", value)
+    game = build_game(config)
+    rule = config.population.drivers["direction_first"].driver
+    assert isinstance(rule, DriverConfig)
+    tasks = tasks_of(config, game, 12)
+    trace = drive_episodes(game, partial(rule.driver, game), tasks, 64, config.evaluation.reward, ("both", "x"))
+    assert (trace.outcome == OUTCOMES.index("success")).all()
+    assert (passes_first(trace, config.scenario.road.corridor_length_m) == goes_first).all()
+
+
+def test_an_undecided_driver_draws_anew_every_second() -> None:
+    config = config_with("undecided", undecided__driver__redraw_s=1.0)
+    game = build_game(config)
+    trace = drive(config, game, "fixed_4", tasks_of(config, game, 8))
+    horizon = trace.horizon_s[:20, :, 1]
+    kept = horizon.reshape(4, 5, -1)
+    assert (kept == kept[:, :1]).all()
+    assert len(np.unique(kept[:, 0])) == 4 * 8
+    assert ((horizon >= 0) & (horizon <= 6)).all()
+
+
+def test_a_list_of_horizons_is_drawn_from() -> None:
+    config = config_with("planner", planner__driver__horizons_s="[0,6]")
+    tasks = tasks_of(config, build_game(config), 200)
+    assert sorted(tasks.style_horizon[:, 1].unique().tolist()) == [0.0, 6.0]
+    assert tasks.switch_time.isinf().all()
+
+
+def policy_of(config: RunConfig, game: Game) -> Learned:
+    generator = torch.Generator().manual_seed(0)
+    network = grid_actor_critic(config.policy, game.observation_shape, torch.device("cpu"), generator)
+    with torch.no_grad():
+        network.policy_head[-1].weight.mul_(1e4)
+    return Learned(network, config.policy.horizons_s, is_sampled=False)
+
+
+def test_a_policy_sees_and_chooses_on_the_other_side_what_the_ego_would() -> None:
+    config = config_with("self", self__driver__action="greedy")
+    plain = build_game(config)
+    learned = policy_of(config, plain)
+    game = with_policies(plain, {0: learned})
+    tasks = tasks_of(config, game, 8)
+    ego = HorizonDriver(adaptive_planner(learned.policy, game, config.policy.horizons_s), game.plan)
+    paid = config.evaluation.reward
+    there, back = (
+        drive_episodes(game, lambda key: ego, each, 64, paid, ("self", "x"))
+        for each in (tasks, replace(tasks, start_distance=tasks.start_distance.flip(1)))
+    )
+    assert len(np.unique(there.horizon_s[~np.isnan(there.horizon_s)])) > 1
+    same = (there.horizon_s[:, :, 1] == back.horizon_s[:, :, 0]) | np.isnan(there.horizon_s[:, :, 1])
+    assert same.mean() > 0.98  # a cell may round to the other side in the mirror
+
+
+def test_the_ego_sees_with_its_own_eyes(config: RunConfig, game: Game) -> None:
+    world = game.simulator.reset(draw_tasks(config, 6))
+    assert torch.equal(game.see_as(world, torch.zeros(6, dtype=torch.int64)), game.see(world))
+    other = game.see_as(world, torch.tensor([0, 1] * 3))
+    assert torch.equal(other[0::2], game.see(world)[0::2])
+
+
+def test_sampled_choices_depend_on_task_step_and_vehicle_alone() -> None:
+    config = load_config("population/driver=[self]", "scenario.n_social=2")
+    game = build_game(config)
+    sampling = policy_of(config, game)._replace(is_sampled=True)
+    with torch.no_grad():
+        sampling.policy.policy_head[-1].weight.zero_()
+    game = with_policies(game, {0: sampling})
+    world = game.simulator.reset(tasks_of(config, game, 64))
+    first = game.choose(world, torch.zeros(64))
+    assert torch.equal(first, game.choose(world, torch.zeros(64)))
+    assert not torch.equal(first[:, 1], first[:, 2])
+    later = game.choose(replace(world, step=world.step + 1), torch.zeros(64))
+    assert not torch.equal(first, later)
+    part = map_tensors(lambda field: field[5:9], world)
+    assert torch.equal(game.choose(part, torch.zeros(4)), first[5:9])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (("population/driver=[nobody]",), "population/driver"),
+        (("population.drivers.planner.weight=0",), "drivers must have a weight above 0 in all, got planner 0"),
+        (("population.drivers.planner.weight=-1",), "population.drivers.planner.weight"),
+        (("population.drivers.planner.driver.horizons_s=[1.3]",), "must be a multiple of"),
+        (("population.drivers.planner.driver.horizons_s=[8]",), "at most planner.horizon_s = 6.0"),
+        (("population.drivers.planner.driver.redraw_s=1.0",), "must have horizons_s or interval_s"),
+        (("population/driver=[undecided]", "population.drivers.undecided.driver.redraw_s=0.3"), "multiple of"),
+        (("population.drivers.planner.driver.kind=bold",), "population.drivers.planner.driver"),
+        (("population/driver=[self]", "stages=[oracle]"), "must name a checkpoint (kind: policy) in the stage oracle"),
+    ],
+)  # fmt: skip
+def test_a_wrong_population_is_one_line(overrides: tuple[str, ...], said: str) -> None:
+    with pytest.raises(UserError) as error:
+        load_config(*overrides)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_random_numbers_of_the_cast_are_its_own(game: Game, config: RunConfig) -> None:
+    """A driver is no function of the start, the style or the noise that the same task brings."""
+    config = config_with("idm", "cautious")
+    tasks = tasks_of(config, build_game(config), 2000)
+    is_idm = (tasks.casting.driver[:, 1] == 0).float()
+    for field in (tasks.start_distance[:, 1], tasks.style_horizon.nan_to_num(0)[:, 1], tasks.noise_seed.float()):
+        assert abs(correlation(is_idm, field)) < 0.06
+
+
+def correlation(a: Tensor, b: Tensor) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    return float((a * b).mean() / (a.std() * b.std()).clamp(min=1e-9))
+
+
+def test_cast_is_made_for_any_scenario(three_social: Game, three_social_config: RunConfig) -> None:
+    assert isinstance(three_social.cast, Cast)
+    assert three_social.cast.assign(draw_tasks(three_social_config, 2)).casting.driver.shape == (2, 4)
