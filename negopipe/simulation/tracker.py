@@ -82,7 +82,7 @@ class Tracker:
         position_variance, yaw_variance, speed_variance = self.variances
         x, y, yaw = latest.pose[:, 0].unbind(-1)
         speed = latest.speed[:, 0]
-        variance = torch.tensor([position_variance, 0.0, speed_variance], device=x.device)
+        variance = torch.tensor([position_variance, 0.0, speed_variance], device=x.device, dtype=x.dtype)
         return Estimate(
             position=torch.stack([x, y], -1),
             velocity=torch.stack([speed * torch.cos(yaw), speed * torch.sin(yaw)], -1),
@@ -99,7 +99,6 @@ def predict(estimate: Estimate, dt_s: float, accel_std_mps2: float, curvature_st
         accel_std_mps2 * dt_s (standard deviation) in a step
     curvature_std_1pm: a heading changes by that times the distance driven (standard deviation) in a step
     """
-    moved = ahead(estimate, torch.tensor(dt_s, device=estimate.yaw.device))
     power = accel_std_mps2**2 * dt_s
     p_xx, p_xv, p_vv = estimate.covariance.unbind(-1)
     covariance = [
@@ -109,7 +108,8 @@ def predict(estimate: Estimate, dt_s: float, accel_std_mps2: float, curvature_st
     ]
     driven_squared = estimate.velocity.square().sum(-1) * dt_s**2
     turned = estimate.yaw_variance + curvature_std_1pm**2 * driven_squared
-    return replace(moved, covariance=torch.stack(covariance, -1), yaw_variance=turned)
+    position = estimate.position + dt_s * estimate.velocity
+    return replace(estimate, position=position, covariance=torch.stack(covariance, -1), yaw_variance=turned)
 
 
 def update(predicted: Estimate, measured: Estimate) -> Estimate:
@@ -134,11 +134,6 @@ def update(predicted: Estimate, measured: Estimate) -> Estimate:
     )
 
 
-def ahead(estimate: Estimate, time_s: Tensor) -> Estimate:
-    """Estimate [...] whose means are those of `time_s` later (broadcasts); its covariances stay."""
-    return replace(estimate, position=estimate.position + time_s[..., None] * estimate.velocity)
-
-
 def no_tracks(like: Tensor) -> Tracks:
     """Empty tracks of the worlds of `like` [E, ...] float32, for worlds without a tracker."""
     n = len(like)
@@ -153,10 +148,10 @@ def _where_tracked(is_tracked: Tensor, estimate: Estimate) -> Estimate:
 
 def _as_tracked(estimate: Estimate, is_tracked: Tensor, age_s: Tensor) -> Sightings:
     """The vehicles now (J = 1), by estimates [E, V, O] of `age_s` [E] ago: the speed is that along the heading."""
-    now = ahead(estimate, age_s[:, None, None])
-    cos, sin = torch.cos(now.yaw), torch.sin(now.yaw)
-    speed = (now.velocity[..., 0] * cos + now.velocity[..., 1] * sin).clamp(min=0)
-    pose = torch.cat([now.position, now.yaw[..., None]], -1)
+    position = estimate.position + age_s[:, None, None, None] * estimate.velocity
+    cos, sin = torch.cos(estimate.yaw), torch.sin(estimate.yaw)
+    speed = (estimate.velocity[..., 0] * cos + estimate.velocity[..., 1] * sin).clamp(min=0)
+    pose = torch.cat([position, estimate.yaw[..., None]], -1)
     return Sightings(pose[:, None], speed[:, None], is_tracked[:, None])
 
 
