@@ -17,8 +17,8 @@ from torch import Tensor
 from negopipe.agents.driver import Plan
 from negopipe.agents.driver_config import HorizonRule, MotionRule
 from negopipe.agents.drivers import RuleConfig
-from negopipe.checks import Problem, check_horizons, check_times
-from negopipe.schema import FileName, Interval, NonNegativeFloat, PathText, PositiveFloat, schema
+from negopipe.checks import WHOLE, Problem, check_horizons, check_times
+from negopipe.schema import FileName, Fraction, Interval, NonNegativeFloat, PathText, PositiveFloat, schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.scenario import Styles
 from negopipe.simulation.simulator import Simulator
@@ -27,7 +27,9 @@ from negopipe.tensors.stateless_rng import mix, uniform
 from negopipe.tensors.tree import tree_where
 
 CAST = 0xCA57
-"""Offset of the key from which drivers and their horizons are drawn, apart from the other draws of an episode."""
+"""Offset of the key from which drivers and what they are like are drawn, apart from the other draws of an episode."""
+DRIVER, REACTION, HORIZON = 0, 1, 2
+"""Channels of that key; the horizons drawn later follow the first one."""
 
 
 @schema
@@ -37,12 +39,16 @@ class PlannerStyle:
     horizons_s: s, each equally likely
     interval_s: uniform interval of the horizon, s
     redraw_s: time after which the horizon is drawn anew, again and again, s; null = it is kept
+    reaction_s: interval of the time by which it goes by what it saw before, drawn in whole control steps, s
+    lapse_share: share of the seconds in which it sees nobody
     """
 
     kind: Literal["planner"]
     horizons_s: Styles | None
     interval_s: Interval | None
     redraw_s: PositiveFloat | None
+    reaction_s: Interval
+    lapse_share: Fraction
 
     @model_validator(mode="after")
     def _draws_from_one(self) -> "PlannerStyle":
@@ -61,7 +67,8 @@ class PlannerStyle:
         """plan_s: length of a plan."""
         yield from check_horizons({f"{key}.horizons_s": self.horizons_s or ()}, dt_s, plan_s)
         yield from check_horizons({f"{key}.interval_s": self.interval_s or ()}, dt_s, plan_s)
-        yield from check_times({f"{key}.redraw_s": () if self.redraw_s is None else (self.redraw_s,)}, dt_s)
+        redraw_s = () if self.redraw_s is None else (self.redraw_s,)
+        yield from check_times({f"{key}.redraw_s": redraw_s, f"{key}.reaction_s": self.reaction_s}, dt_s)
 
     def draw(self, share: Tensor) -> Tensor:
         """Horizons [...] (s) from uniform numbers [...] in (0, 1)."""
@@ -123,8 +130,22 @@ class PopulationConfig:
             raise ValueError(f"drivers must have a weight above 0 in all, got {weights}")
         return self
 
-    def check(self, dt_s: float, plan_s: float) -> Iterator[Problem]:
-        """plan_s: length of a plan."""
+    @property
+    def planners(self) -> dict[str, PlannerStyle]:
+        """The drivers that follow a planner with a style, by name."""
+        return {name: d.driver for name, d in self.drivers.items() if isinstance(d.driver, PlannerStyle)}
+
+    @property
+    def is_attentive(self) -> bool:
+        """Whether no driver reacts late or lapses."""
+        return not any(planner.reaction_s[1] > 0 or planner.lapse_share > 0 for planner in self.planners.values())
+
+    def check(self, dt_s: float, plan_s: float, remembered_s: float) -> Iterator[Problem]:
+        """plan_s: length of a plan; remembered_s: age of the oldest state of another that a driver knows."""
+        for name, planner in self.planners.items():
+            if planner.reaction_s[1] > remembered_s + WHOLE:
+                rule = f"be at most {remembered_s:g} s, as far as a vehicle remembers by observation.n_frames"
+                yield Problem(f"population.drivers.{name}.driver.reaction_s", rule, planner.reaction_s[1])
         for name, each in self.drivers.items():
             yield from each.driver.check(f"population.drivers.{name}.driver", dt_s, plan_s)
 
@@ -151,9 +172,9 @@ class Cast:
         self._planners = {i: d for i, d in enumerate(drivers) if isinstance(d, PlannerStyle)}
         self._horizon_rules = {i: d.choose(simulator) for i, d in enumerate(drivers) if isinstance(d, HorizonRule)}
         self._motion_rules = {i: d.rule(simulator) for i, d in enumerate(drivers) if isinstance(d, MotionRule)}
-        dt_s, self._n_steps = simulator.scenario.dt_s, simulator.scenario.episode_steps
-        self._redraw_steps = {i: round((d.redraw_s or 0) / dt_s) for i, d in self._planners.items()}
-        self._n_redrawn = max((ceil(self._n_steps / n) for n in self._redraw_steps.values() if n), default=0)
+        self._dt_s, n_steps = simulator.scenario.dt_s, simulator.scenario.episode_steps
+        self._redraw_steps = {i: round((d.redraw_s or 0) / self._dt_s) for i, d in self._planners.items()}
+        self._n_redrawn = max((ceil(n_steps / n) for n in self._redraw_steps.values() if n), default=0)
 
     def assign(self, task: Task) -> Task:
         """The tasks with a driver for every social vehicle, and with the horizons that these bring along.
@@ -162,29 +183,43 @@ class Cast:
         """
         vehicle = torch.arange(task.direction.shape[1], device=task.direction.device)
         key = mix(mix(mix(task.noise_seed)[:, None] + vehicle) + CAST)
-        driver = torch.searchsorted(self._until, uniform(key, 0), right=True).clamp(max=len(self._until) - 1)
+        driver = torch.searchsorted(self._until, uniform(key, DRIVER), right=True).clamp(max=len(self._until) - 1)
         driver[:, EGO] = NOBODY
         style, has_own = task.style_horizon, torch.zeros_like(driver, dtype=torch.bool)
-        redraw_steps = torch.zeros_like(driver)
-        redrawn = style.new_full((*driver.shape, self._n_redrawn), torch.nan)
         for index in range(len(self.names)):
             is_its, planner = driver == index, self._planners.get(index)
-            if planner is None:
-                style, has_own = torch.where(is_its, torch.nan, style), has_own | is_its
-            elif planner.is_own:
-                style, has_own = torch.where(is_its, planner.draw(uniform(key, 1)), style), has_own | is_its
-                if n_kept := self._redraw_steps[index]:
-                    redraw_steps = torch.where(is_its, n_kept, redraw_steps)
-                    drawn = torch.stack([planner.draw(uniform(key, 1 + i)) for i in range(self._n_redrawn)], -1)
-                    redrawn = torch.where(is_its[..., None], drawn, redrawn)
+            if planner is None or planner.is_own:
+                drawn = style.new_full((), torch.nan) if planner is None else planner.draw(uniform(key, HORIZON))
+                style, has_own = torch.where(is_its, drawn, style), has_own | is_its
         return replace(
             task,
-            casting=Casting(driver, redraw_steps, redrawn),
+            casting=self._casting(driver, key),
             style_horizon=style,
             next_style_horizon=torch.where(has_own, torch.nan, task.next_style_horizon),
             switch_time=torch.where(has_own, torch.inf, task.switch_time),
             patience=torch.where(has_own, torch.inf, task.patience),
         )
+
+    def _casting(self, driver: Tensor, key: Tensor) -> Casting:
+        """What the drivers [E, V] are like, drawn with the keys [E, V]."""
+        redraw_steps, reaction_steps = torch.zeros_like(driver), torch.zeros_like(driver)
+        lapse_share = torch.zeros_like(driver, dtype=torch.float32)
+        redrawn = lapse_share.new_full((*driver.shape, self._n_redrawn), torch.nan)
+        for index, planner in self._planners.items():
+            is_its = driver == index
+            late = self._reaction_steps(planner, uniform(key, REACTION))
+            reaction_steps = torch.where(is_its, late, reaction_steps)
+            lapse_share = torch.where(is_its, planner.lapse_share, lapse_share)
+            if n_kept := self._redraw_steps[index]:
+                redraw_steps = torch.where(is_its, n_kept, redraw_steps)
+                drawn = torch.stack([planner.draw(uniform(key, HORIZON + i)) for i in range(self._n_redrawn)], -1)
+                redrawn = torch.where(is_its[..., None], drawn, redrawn)
+        return Casting(driver, redraw_steps, redrawn, reaction_steps, lapse_share)
+
+    def _reaction_steps(self, planner: PlannerStyle, share: Tensor) -> Tensor:
+        """Whole control steps [...], each between the bounds equally likely, from uniform numbers [...]."""
+        first, last = (round(bound / self._dt_s) for bound in planner.reaction_s)
+        return (first + ((last - first + 1) * share).long()).clamp(max=last)
 
     def named(self, driver: Tensor) -> np.ndarray:
         """Names [E, V] of the drivers [E, V]; empty where a vehicle has none."""

@@ -1,7 +1,7 @@
 """The work of one decision, and the physical limit of decisions per second that follows from it.
 
 The count covers the planner and the grids, fused into one pass: operations on single numbers, and those bytes that must
-be read or written between two decisions. The network is not part of it.
+be read or written between two decisions. The network and the trackers are not part of it.
 """
 
 from dataclasses import dataclass
@@ -69,7 +69,7 @@ def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
     n_beyond_kerbs = game.simulator.road.off_road_boxes().x.numel()
     n_rows = (n_frames * n_vehicles + n_parked + n_beyond_kerbs) * height  # of boxes
     flops += n_rows * (_CROSSING + n_words * _WORD) + n_frames * height * width * _CELL
-    state = 4 * (_STATE_FLOATS + (1 + game.simulator.history_steps) * _POSE_FLOATS) + _FLAG_BYTES
+    state = 4 * (_STATE_FLOATS + (1 + game.simulator.sensor.memory_steps) * _POSE_FLOATS) + _FLAG_BYTES
     moved = 2 * (n_vehicles * state + _WORLD_BYTES) + n_vehicles * 4 * _TASK_FLOATS
     return Workload(float(flops), float(moved + n_frames * height * width))
 

@@ -155,7 +155,8 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
     yield from config.dynamics.check(dt_s)
     yield from check_policy(config.policy, config.observation.n_cells, dt_s, plan_s)
     yield from scenario.check(plan_s)
-    yield from config.population.check(dt_s, plan_s)
+    remembered_s = history_steps(config.observation, dt_s) * dt_s - config.perception.accel_window_s
+    yield from config.population.check(dt_s, plan_s, max(0.0, remembered_s))
     for stage in sorted(WITHOUT_POLICY & stages):
         yield from config.population.check_self(f"the stage {stage}")
     yield from config.curriculum.check(dt_s, plan_s)

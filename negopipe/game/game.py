@@ -82,8 +82,10 @@ class Game:
 def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compiled: bool = False) -> Game:
     """The game of a configuration; nothing in it depends on a task."""
     scenario, observation = config.scenario, config.observation
-    sensor = Sensor(config.perception, scenario.dt_s, history_steps(observation, scenario.dt_s))
-    simulator = Simulator(scenario, sensor.memory_steps, build_dynamics(config.dynamics, scenario.dt_s), device)
+    sensor = Sensor(
+        config.perception, scenario.dt_s, history_steps(observation, scenario.dt_s), config.population.is_attentive
+    )
+    simulator = Simulator(scenario, sensor, build_dynamics(config.dynamics, scenario.dt_s), device)
     frenet = FrenetPlanner(config.planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
     cast = Cast(config.population, simulator)
     grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)

@@ -4,8 +4,7 @@ It is all that reaches a driver. The style, the desired speed and the plan of th
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -13,9 +12,13 @@ from torch import Tensor
 from negopipe.checks import Problem, check_times
 from negopipe.schema import Fraction, NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
-from negopipe.simulation.state import VehicleState, World
+from negopipe.simulation.state import Sightings, Tracks, VehicleState, World
+from negopipe.simulation.tracker import Tracker, TrackerConfig
 from negopipe.tensors.stateless_rng import mix, normals, uniform
 from negopipe.tensors.tree import map_tensors
+
+LAPSES = 0x1A95E
+"""Offset of the key from which lapses of attention are drawn, apart from the other draws of an episode."""
 
 
 @schema
@@ -29,10 +32,13 @@ class PerceptionConfig:
     range_m: PositiveMetres | None
     delay_s: NonNegativeFloat
     accel_window_s: PositiveFloat
+    tracker: TrackerConfig | None
 
     def check(self, dt_s: float) -> Iterator[Problem]:
         times_s = {"perception.delay_s": (self.delay_s,), "perception.accel_window_s": (self.accel_window_s,)}
         yield from check_times(times_s, dt_s)
+        if self.tracker is not None:
+            yield from self.tracker.check(dt_s)
 
     def memory_steps(self, dt_s: float, history_steps: int) -> int:
         """Past states that a world must remember, for perceptions that hold `history_steps` past poses."""
@@ -48,8 +54,8 @@ class Perception:
     desired_speed: [E, S] float32, m/s
     style_horizon: [E, S] float32, s, own driving style, the one in force now; NaN where the driver chooses
     driver: [E, S] int64, index of the own driver in the population; `NOBODY` without one
-    other: VehicleState [E, S, O], as last sighted; acceleration from the speeds seen, curvature 0
-    is_seen: [E, S, O] bool; where false, the fields of `other` are 0 and mean nothing
+    other: VehicleState [E, S, O], as sighted or tracked; acceleration from the speeds of the last steps, curvature 0
+    is_seen: [E, S, O] bool, sighted or tracked; where false, the fields of `other` are 0 and mean nothing
     own_history: [E, K, S, 3] float32, own poses x, y, yaw (m, m, rad; world), index 0 now, one step apart
     other_history: [E, K, S, O, 3] float32, poses of the others
     is_seen_history: [E, K, S, O] bool; where false, `other_history` is 0 and means nothing
@@ -98,31 +104,20 @@ class Perception:
         )
 
 
-class Sightings(NamedTuple):
-    """Sightings of every other vehicle by every vehicle in the last J steps, index 0 the latest.
-
-    pose: [E, J, V, O, 3] float32, x, y, yaw (m, m, rad; world)
-    speed: [E, J, V, O] float32, m/s
-    is_seen: [E, J, V, O] bool
-    """
-
-    pose: Tensor
-    speed: Tensor
-    is_seen: Tensor
-
-
 class Sensor:
     """Sensor of every vehicle: the others with errors, itself without.
 
     The errors of a sighting are a function of the task's noise seed, the step of the episode in which it was taken, the
-    viewer and the vehicle seen. A sighting is therefore the same at every later step, and the sensor has no state.
+    viewer and the vehicle seen. A sighting is therefore the same at every later step. The sensor has no state: with a
+    tracker the world holds the tracks.
 
     history_steps: past poses in a perception beside the latest
     memory_steps: past states that a world must keep for that
+    is_attentive: no driver of the population reacts late or lapses
     """
 
-    def __init__(self, config: PerceptionConfig, dt_s: float, history_steps: int) -> None:
-        self.config = config
+    def __init__(self, config: PerceptionConfig, dt_s: float, history_steps: int, is_attentive: bool = True) -> None:
+        self.config, self._is_attentive = config, is_attentive
         self.history_steps = history_steps
         self._delay = round(config.delay_s / dt_s)
         self._window = round(config.accel_window_s / dt_s)
@@ -132,15 +127,19 @@ class Sensor:
         stds = (config.position_std_m, config.yaw_std_rad, config.speed_std_mps)
         self._is_noisy = any(std > 0 for std in stds)
         self._sees_all = config.dropout_probability == 0 and config.range_m is None
+        self._tracker, self._dt_s = None, dt_s
+        if config.tracker is not None:
+            variances = (config.position_std_m**2, config.yaw_std_rad**2, config.speed_std_mps**2)
+            self._tracker = Tracker(config.tracker, dt_s, variances)
 
     def perceive(self, world: World) -> Perception:
         """Perception of all vehicles, S = V."""
         task = world.task
-        seen = self._sightings(world)
-        accel = (seen.speed[:, 0] - seen.speed[:, self._window]) / self._window_s
+        seen = self._seen(world)
+        pose, speed, before, is_seen = self._attended(world, seen)
+        accel = (speed - before) / self._window_s
         if not self._sees_all:
             accel = torch.where(seen.is_seen[:, 0] & seen.is_seen[:, self._window], accel, 0.0)
-        pose = seen.pose[:, 0]
         n_frames = 1 + self.history_steps
         return Perception(
             own=world.reference,
@@ -148,22 +147,70 @@ class Sensor:
             desired_speed=task.desired_speed,
             style_horizon=world.style_horizon,
             driver=task.casting.driver,
-            other=VehicleState(pose[..., :2], pose[..., 2], seen.speed[:, 0], accel, torch.zeros_like(accel)),
-            is_seen=seen.is_seen[:, 0],
+            other=VehicleState(pose[..., :2], pose[..., 2], speed, accel, torch.zeros_like(accel)),
+            is_seen=is_seen,
             own_history=world.pose_history[:, :n_frames],
             other_history=seen.pose[:, :n_frames],
             is_seen_history=seen.is_seen[:, :n_frames],
         )
 
-    def _sightings(self, world: World) -> Sightings:
-        """Sightings of the last steps: the true states `delay_s` late, with errors."""
-        steps = slice(self._delay, self._delay + self._n_sightings)
+    def _attended(self, world: World, seen: Sightings) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """What the drivers go by: poses [E, V, O, 3], speeds [E, V, O] now and `accel_window_s` before, who is seen.
+
+        A driver that reacts late goes by what it saw then. One that lapses sees nobody for a whole second. The past
+        that the grids show is not touched: late and lapsing drivers follow a planner and see no grids.
+        """
+        if self._is_attentive:
+            return seen.pose[:, 0], seen.speed[:, 0], seen.speed[:, self._window], seen.is_seen[:, 0]
+        casting = world.task.casting
+        late = casting.reaction_steps[:, None, :, None].expand(-1, 1, -1, seen.speed.shape[-1])
+        pose = seen.pose.gather(1, late[..., None].expand(-1, -1, -1, -1, 3))[:, 0]
+        speed, before = (seen.speed.gather(1, late + steps)[:, 0] for steps in (0, self._window))
+        second = (world.step * self._dt_s + 1e-3).long()[:, None]
+        vehicle = torch.arange(late.shape[2], device=late.device)
+        key = mix(mix(world.task.noise_seed)[:, None] + vehicle) + LAPSES
+        lapses = uniform(key, second) < casting.lapse_share
+        return pose, speed, before, seen.is_seen.gather(1, late)[:, 0] & ~lapses[..., None]
+
+    def first_tracks(self, world: World) -> Tracks:
+        """Tracks of a world whose vehicles have been where they are for as long as it remembers."""
+        if self._tracker is None:
+            return world.tracks
+        return self._tracker.start(self._sightings(world, self._delay, 1), self._age_s(world), self._n_sightings)
+
+    def next_tracks(self, world: World) -> Tracks:
+        """Tracks of a world that still holds those of the step before.
+
+        At the start of an episode the sighting of its first state is the newest one until `delay_s` has passed.
+        """
+        if self._tracker is None:
+            return world.tracks
+        latest, is_new = self._sightings(world, self._delay, 1), world.step > self._delay
+        return self._tracker.follow(world.tracks, latest, is_new, self._age_s(world))
+
+    def _age_s(self, world: World) -> Tensor:
+        """[E] float32, s: age of the newest sightings."""
+        return world.step.clamp(max=self._delay).float() * self._dt_s
+
+    def _seen(self, world: World) -> Sightings:
+        """The others in the last steps: as they were tracked then, else as their sightings are."""
+        if self._tracker is not None:
+            return world.tracks.history
+        seen = self._sightings(world, self._delay, self._n_sightings)
+        return replace(seen, speed=seen.speed.clamp(min=0)) if self._is_noisy else seen
+
+    def _sightings(self, world: World, ago: int, n: int) -> Sightings:
+        """Sightings taken `ago` steps ago and at the n - 1 steps before: the true states with errors.
+
+        Measured speeds may be negative.
+        """
+        steps = slice(ago, ago + n)
         pose, speed = world.pose_history[:, steps], world.speed_history[:, steps]
         others = other_columns(speed.shape[-1], speed.device)
         seen = Sightings(pose[:, :, others], speed[:, :, others], torch.ones_like(others, dtype=torch.bool))
         if self._sees_all and not self._is_noisy:
-            return seen._replace(is_seen=seen.is_seen.expand_as(seen.speed))
-        key = self._keys(world, others)
+            return replace(seen, is_seen=seen.is_seen.expand_as(seen.speed))
+        key = self._keys(world, others, torch.arange(ago, ago + n, device=others.device))
         is_seen = self._is_seen(key, pose, seen)
         if self._is_noisy:
             seen = self._with_errors(key, seen)
@@ -171,9 +218,8 @@ class Sensor:
             torch.where(is_seen[..., None], seen.pose, 0.0), torch.where(is_seen, seen.speed, 0.0), is_seen
         )
 
-    def _keys(self, world: World, others: Tensor) -> Tensor:
-        """[E, J, V, O] int64: random key of each sighting, the same at every later step."""
-        ago = torch.arange(self._n_sightings, device=others.device) + self._delay
+    def _keys(self, world: World, others: Tensor, ago: Tensor) -> Tensor:
+        """[E, J, V, O] int64: random key of each sighting, taken `ago` [J] steps ago, the same at every later step."""
         taken = (world.step[:, None] - ago).clamp(min=0)  # before the start the first state is repeated
         viewer = torch.arange(len(others), device=others.device)[:, None]
         key = mix(mix(world.task.noise_seed)[:, None] + taken)
@@ -201,7 +247,7 @@ class Sensor:
             ],
             dim=-1,
         )
-        return seen._replace(pose=pose, speed=(seen.speed + config.speed_std_mps * speed).clamp(min=0))
+        return replace(seen, pose=pose, speed=seen.speed + config.speed_std_mps * speed)
 
 
 def other_columns(n_vehicles: int, device: torch.device | str = "cpu") -> Tensor:

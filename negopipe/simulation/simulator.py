@@ -1,7 +1,7 @@
 """The simulator of batched worlds: reset and step. State goes in, state comes out.
 
-It moves vehicles and reports events. Drivers (`negopipe.agents.driver`) and the reward (`negopipe.game.reward`) are
-not part of it.
+It moves vehicles, lets their trackers follow and reports events. Drivers (`negopipe.agents.driver`) and the reward
+(`negopipe.game.reward`) are not part of it.
 """
 
 from dataclasses import dataclass, replace
@@ -11,10 +11,11 @@ from torch import Tensor
 
 from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.dynamics import Dynamics
-from negopipe.simulation.perception import other_columns
+from negopipe.simulation.perception import Sensor, other_columns
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import AT_REST_MPS, EGO, Task, VehicleState, World
+from negopipe.simulation.tracker import no_tracks
 from negopipe.tensors.tree import map_tensors, tree_where
 
 UNCOUNTED_REST_S = 1.0
@@ -44,16 +45,16 @@ class Events:
 class Simulator:
     """The simulator of one scenario.
 
+    sensor: of every vehicle; a world remembers as much as it needs
     dynamics: motion of the vehicles towards the states that their drivers want
-    history_steps: past poses and speeds that a world keeps beside the present ones
     """
 
     def __init__(
-        self, scenario: ScenarioConfig, history_steps: int, dynamics: Dynamics, device: torch.device | str = "cpu"
+        self, scenario: ScenarioConfig, sensor: Sensor, dynamics: Dynamics, device: torch.device | str = "cpu"
     ) -> None:
         self.scenario = scenario
+        self.sensor = sensor
         self.dynamics = dynamics
-        self.history_steps = history_steps
         self.road = Road(scenario.road, device)
         others = other_columns(1 + scenario.n_social, device)
         self.collisions = CollisionCheck(self.road, scenario.vehicle, scenario.dt_s, others)
@@ -65,7 +66,7 @@ class Simulator:
         start = RouteState(s, task.start_speed, zero, *self.road.route_offset(s, task.direction))
         vehicles = replace(self.road.to_world(start, task.direction), speed=task.start_speed, accel=zero)
         no = torch.zeros_like(s, dtype=torch.bool)
-        return World(
+        world = World(
             vehicles=vehicles,
             reference=vehicles,
             task=task,
@@ -77,7 +78,20 @@ class Simulator:
             pose_history=self._repeat(_pose(vehicles)),
             speed_history=self._repeat(vehicles.speed),
             command_queue=s.new_zeros(len(task), self.dynamics.delay_steps, s.shape[1], 2),
+            tracks=no_tracks(s),
         )
+        return replace(world, tracks=self.sensor.first_tracks(world))
+
+    def place(self, world: World, vehicles: VehicleState) -> World:
+        """`world` with its vehicles elsewhere, as if they had always been there; `vehicles` [E, V]."""
+        placed = replace(
+            world,
+            vehicles=vehicles,
+            reference=vehicles,
+            pose_history=self._repeat(_pose(vehicles)),
+            speed_history=self._repeat(vehicles.speed),
+        )
+        return replace(placed, tracks=self.sensor.first_tracks(placed))
 
     def step(self, world: World, wanted: VehicleState) -> tuple[World, Events]:
         """Move every vehicle towards `wanted` [E, V], the state its driver wants one `dt_s` later.
@@ -107,12 +121,14 @@ class Simulator:
             pose_history=torch.cat([_pose(motion)[:, None], world.pose_history[:, :-1]], dim=1),
             speed_history=torch.cat([motion.speed[:, None], world.speed_history[:, :-1]], dim=1),
             command_queue=command_queue,
+            tracks=world.tracks,
         )
+        moved = replace(moved, tracks=self.sensor.next_tracks(moved))
         return moved, self._events(moved, s)
 
     def _repeat(self, start: Tensor) -> Tensor:
         """[E, ...] -> [E, K, ...]: the history at the start of an episode."""
-        return start[:, None].repeat(1, 1 + self.history_steps, *[1] * (start.dim() - 1))
+        return start[:, None].repeat(1, 1 + self.sensor.memory_steps, *[1] * (start.dim() - 1))
 
     def _styles(self, world: World, motion: VehicleState) -> tuple[Tensor, Tensor]:
         """New `rest_steps` and `has_switched` of a world whose vehicles have reached `motion`, [E, V] each."""

@@ -58,17 +58,22 @@ class Casting:
     redraw_steps: [E, V] int64, control steps after which the prediction horizon is redrawn, over and over; 0 = never
     redrawn_horizon: [E, V, R] float32, s, the horizons in their order, from the episode's start on; NaN where there
         are none, and R = 0 where no driver has any
+    reaction_steps: [E, V] int64, control steps by which the driver goes by what it saw before
+    lapse_share: [E, V] float32, share of the seconds in which the driver sees nobody
     """
 
     driver: Tensor
     redraw_steps: Tensor
     redrawn_horizon: Tensor
+    reaction_steps: Tensor
+    lapse_share: Tensor
 
     @staticmethod
     def of_nobody(direction: Tensor) -> "Casting":
         """Without a population; direction: [E, V]."""
         nobody = torch.full_like(direction, NOBODY, dtype=torch.int64)
-        return Casting(nobody, torch.zeros_like(nobody), direction.new_zeros(*direction.shape, 0))
+        none, no_horizon = torch.zeros_like(nobody), direction.new_zeros(*direction.shape, 0)
+        return Casting(nobody, none, no_horizon, none.clone(), torch.zeros_like(direction))
 
 
 @dataclass(frozen=True)
@@ -104,6 +109,52 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Sightings:
+    """Every other vehicle (O = V - 1 of them) as every vehicle knows it, in the last J steps, index 0 the latest.
+
+    pose: [E, J, V, O, 3] float32, x, y, yaw (m, m, rad; world)
+    speed: [E, J, V, O] float32, m/s
+    is_seen: [E, J, V, O] bool; where false, the others are 0 and mean nothing
+    """
+
+    pose: Tensor
+    speed: Tensor
+    is_seen: Tensor
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimate of a vehicle's motion: means and covariances of a Kalman filter (`tracker.py`); leading axes [...].
+
+    position, velocity: [..., 2] float32, m and m/s, world
+    covariance: [..., 3] float32, along each of the world's axes, which are independent and alike: of position
+        (m2), of position and velocity (m2/s), of velocity (m2/s2)
+    yaw: [...] float32, rad, world
+    yaw_variance: [...] float32, rad2
+    """
+
+    position: Tensor
+    velocity: Tensor
+    covariance: Tensor
+    yaw: Tensor
+    yaw_variance: Tensor
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Tracks of every other vehicle by every vehicle; without a tracker all tensors are empty.
+
+    estimate: Estimate [E, V, O], of the time of the last sighting; 0 where there is no track
+    n_missed: [E, V, O] int64, sightings missed in a row; more than a tracker carries on for where there is no track
+    history: Sightings, J steps: the vehicles as they were tracked at these steps, without later knowledge
+    """
+
+    estimate: Estimate
+    n_missed: Tensor
+    history: Sightings
+
+
+@dataclass(frozen=True)
 class World:
     """Complete state of E worlds; a step maps one to the next.
 
@@ -121,6 +172,7 @@ class World:
         k steps ago. Before the episode's start the first state is repeated.
     speed_history: [E, K, V] float32, m/s, of the same states
     command_queue: [E, D, V, 2] float32, commands on their way to the actuators (`dynamics.Dynamics.move`)
+    tracks: Tracks, what each vehicle's tracker holds of the others
     """
 
     vehicles: VehicleState
@@ -134,6 +186,7 @@ class World:
     pose_history: Tensor
     speed_history: Tensor
     command_queue: Tensor
+    tracks: Tracks
 
     @property
     def style_horizon(self) -> Tensor:

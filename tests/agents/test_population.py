@@ -27,7 +27,7 @@ from negopipe.simulation.state import EGO, NOBODY, Task
 from negopipe.tensors.tree import map_tensors, named_tensors
 
 RULES = ("idm", "cautious", "give_way", "direction_first")
-EVERYONE = ("planner", "any_horizon", "undecided", *RULES)
+EVERYONE = ("planner", "any_horizon", "undecided", "late", "distracted", *RULES)
 SHORT = "scenario.episode_steps=50"
 
 
@@ -76,17 +76,18 @@ def test_every_vehicle_has_a_driver_of_its_own() -> None:
 def test_mixed_drivers_drive_as_each_alone() -> None:
     config = config_with(*EVERYONE)
     game = build_game(config)
-    tasks = tasks_of(config, game, 42)
+    tasks = tasks_of(config, game, 54)
     mixed = drive(config, game, "fixed_4", tasks)
     for index, name in enumerate(EVERYONE):
         which = (tasks.casting.driver[:, 1] == index).nonzero()[:, 0].numpy()
         assert len(which) > 0, name
         alone = config_with(name)
         own_game = build_game(alone)
-        trace = drive(alone, own_game, "fixed_4", tasks_of(alone, own_game, 42))
+        trace = drive(alone, own_game, "fixed_4", tasks_of(alone, own_game, 54))
         expected, got = rows(trace, which), rows(mixed, which)
-        for field, values in expected.items():
-            np.testing.assert_allclose(got[field], values, atol=1e-4, err_msg=f"{name} {field}")
+        assert (got.pop("driver")[:, 1] == name).all()
+        for field, values in got.items():
+            np.testing.assert_allclose(values, expected[field], atol=1e-4, err_msg=f"{name} {field}")
 
 
 def test_a_batch_is_its_worlds_one_by_one() -> None:
@@ -139,6 +140,34 @@ def test_an_undecided_driver_draws_anew_every_second() -> None:
     assert (kept == kept[:, :1]).all()
     assert len(np.unique(kept[:, 0])) == 4 * 8
     assert ((horizon >= 0) & (horizon <= 6)).all()
+
+
+def test_who_reacts_late_goes_by_what_it_saw() -> None:
+    config = config_with("late", late__driver__reaction_s="[1.0,1.0]")
+    late, attentive = build_game(config), build_game(load_config(SHORT))
+    tasks = tasks_of(config, late, 8)
+    world, past = late.simulator.reset(tasks), []
+    for step in range(12):
+        seen, now = late.perceive(world), attentive.perceive(world)
+        past.append(now)
+        then = past[max(0, step - 5)]
+        assert torch.equal(seen.other.position[:, 1], then.other.position[:, 1])
+        torch.testing.assert_close(seen.other.speed[:, 1], then.other.speed[:, 1])
+        assert torch.equal(seen.other.position[:, EGO], now.other.position[:, EGO]), "the ego reacts at once"
+        assert torch.equal(seen.other_history, now.other_history)
+        world, _ = late.drive(world, world.horizons(4.0))
+    assert not torch.equal(seen.other.position[:, 1], now.other.position[:, 1])
+
+
+def test_who_is_distracted_sees_nobody_for_whole_seconds() -> None:
+    config = config_with("distracted", distracted__driver__lapse_share=0.3)
+    game = build_game(config)
+    world = game.simulator.reset(tasks_of(config, game, 400))
+    seen = torch.stack([game.perceive(replace(world, step=world.step + i)).is_seen[..., 0] for i in range(20)])
+    assert seen[:, :, EGO].all()
+    seconds = seen[:, :, 1].unflatten(0, (4, 5))
+    assert (seconds == seconds[:, :1]).all()
+    assert 1 - seconds.float().mean().item() == pytest.approx(0.3, abs=0.03)
 
 
 def test_a_list_of_horizons_is_drawn_from() -> None:
@@ -207,6 +236,9 @@ def test_sampled_choices_depend_on_task_step_and_vehicle_alone() -> None:
         (("population.drivers.planner.driver.horizons_s=[8]",), "at most planner.horizon_s = 6.0"),
         (("population.drivers.planner.driver.redraw_s=1.0",), "must have horizons_s or interval_s"),
         (("population/driver=[undecided]", "population.drivers.undecided.driver.redraw_s=0.3"), "multiple of"),
+        (("population.drivers.planner.driver.reaction_s=[0,0.3]",), "must be a multiple of scenario.dt_s = 0.2"),
+        (("population.drivers.planner.driver.reaction_s=[0,3]",), "reaction_s must be at most 2.6 s"),
+        (("population.drivers.planner.driver.lapse_share=2",), "population.drivers.planner.driver"),
         (("population.drivers.planner.driver.kind=bold",), "population.drivers.planner.driver"),
         (("population/driver=[self]", "stages=[oracle]"), "must name a checkpoint (kind: policy) in the stage oracle"),
     ],

@@ -13,8 +13,8 @@ from negopipe.simulation.perception import PerceptionConfig, Sensor
 from negopipe.simulation.state import EGO, VehicleState, World
 from negopipe.tensors.tree import map_tensors
 
-PERFECT = PerceptionConfig(0.0, 0.0, 0.0, 0.0, None, 0.0, 0.4)
-NOISY = PerceptionConfig(0.1, 0.02, 0.2, 0.1, 60.0, 0.4, 0.4)
+PERFECT = PerceptionConfig(0.0, 0.0, 0.0, 0.0, None, 0.0, 0.4, None)
+NOISY = PerceptionConfig(0.1, 0.02, 0.2, 0.1, 60.0, 0.4, 0.4, None)
 
 
 def seen_by(config: RunConfig, perception: PerceptionConfig) -> Game:

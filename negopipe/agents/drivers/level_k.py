@@ -177,15 +177,7 @@ def imagined(game: "Game", vehicles: VehicleState, direction: Tensor, desired_sp
     never, no = torch.full_like(direction, torch.inf), torch.zeros_like(direction[:, 0], dtype=torch.int64)
     wanted, nobody = desired_speed.expand_as(direction), Casting.of_nobody(direction)
     task = Task(unknown, wanted, wanted, unknown, unknown, never, never, direction, no, no, nobody)
-    world = game.simulator.reset(task)
-    pose = torch.cat([vehicles.position, vehicles.yaw[..., None]], dim=-1)
-    return replace(
-        world,
-        vehicles=vehicles,
-        reference=vehicles,
-        pose_history=pose[:, None].expand_as(world.pose_history).contiguous(),
-        speed_history=vehicles.speed[:, None].expand_as(world.speed_history).contiguous(),
-    )
+    return game.simulator.place(game.simulator.reset(task), vehicles)
 
 
 def _of_others(perception: Perception) -> VehicleState:
