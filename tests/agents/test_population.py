@@ -16,6 +16,7 @@ from negopipe.agents.learned import Learned, with_policies
 from negopipe.agents.population import Cast
 from negopipe.config.compose import load_config
 from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import make_env
 from negopipe.errors import UserError
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import passes_first
@@ -267,3 +268,24 @@ def correlation(a: Tensor, b: Tensor) -> float:
 def test_cast_is_made_for_any_scenario(three_social: Game, three_social_config: RunConfig) -> None:
     assert isinstance(three_social.cast, Cast)
     assert three_social.cast.assign(draw_tasks(three_social_config, 2)).casting.driver.shape == (2, 4)
+
+
+def test_an_environment_takes_a_population() -> None:
+    env = make_env(["population=mixed"])
+    observation, _ = env.reset(seed=3)
+    for _ in range(5):
+        observation, *_ = env.step(np.int64(3))
+    assert env.observation_space.contains(observation)
+    with pytest.raises(UserError, match=r"driver\.kind must name a checkpoint \(kind: policy\) in an environment"):
+        make_env(["population/driver=[self]"])
+
+
+def test_a_checkpoint_drives_in_an_environment() -> None:
+    env = make_env(["population/driver=[policy]"])
+    env.reset(seed=3)
+    assert np.isfinite(env.step(np.int64(0))[1])
+
+
+def test_a_checkpoint_for_other_choices_is_refused() -> None:
+    with pytest.raises(UserError, match=r"policy\.horizons_s must be .* as in the checkpoint"):
+        make_env(["population/driver=[policy]", "policy.horizons_s=[0,6]"])
