@@ -1,6 +1,6 @@
 """The only Hydra entry: compose `conf/` -> RunConfig -> run its stages.
 
-Nothing heavy is imported before a run starts, so that `--help` and a mistyped key are answered at once.
+Heavy modules are imported only when a run starts, so that `--help` and a mistyped key are answered at once.
 """
 
 import errno
@@ -43,18 +43,18 @@ log = logging.getLogger("negopipe")
 
 environment.drop_empty("OMP_NUM_THREADS", "CXX", "TORCHINDUCTOR_CACHE_DIR")  # of torch
 environment.default("GOMP_SPINCOUNT", "30000")
-"""Threads of torch that wait spin for a moment only and then sleep: on shared cores endless spinning made
-collecting three times slower, and never spinning costs a quarter on idle ones. Read when torch is imported."""
+"""Spins of torch's waiting threads before they sleep: on shared cores endless spinning made collecting three times
+slower, and no spinning costs a quarter on idle ones. It is read when torch is imported."""
 
 FAILURES = "NEGOPIPE_FAILURES"
-"""Environment variable: the file in which the jobs of a command note why they failed. An exception would not
-do: Hydra prints a line of its own about a job that raises, and of a sweep it tells the first failure only."""
+"""Environment variable with the file in which the jobs of a command note their failures. Exceptions would not do: Hydra
+prints a line of its own for a job that raises, and reports only the first failure of a sweep."""
 
 DISK_FAULTS = {
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),  # no room
     *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.ENAMETOOLONG),  # no right, no folder
 }
-GOES_ON = "what was finished is kept and the same command goes on from there"
+RESUME = "finished work is kept, and the same command resumes the run"
 
 
 def main() -> int:
@@ -139,7 +139,7 @@ def run_stages(composed: DictConfig) -> float | None:
         for name, stage in zip(config.stages, stages, strict=True):
             key = stage_key(config, name)
             if run.has_finished(name, key):
-                log.info(f"{name:10} finished before, with the same config (rerun=true runs it again)")
+                log.info(f"{name:10} finished before with the same config (rerun=true runs it again)")
                 continue
             run.begin()
             if name == "train" and not config.rerun and take_over_training(config, run, key):
@@ -153,7 +153,7 @@ def run_stages(composed: DictConfig) -> float | None:
 
 
 def _check_places(config: "RunConfig") -> None:
-    """UserError where the run would write elsewhere than it is told, or into a folder whose name is no text."""
+    """UserError where Hydra would change the working directory, or where the run folder's name is no text."""
     if HydraConfig.get().job.chdir:
         raise UserError(
             "hydra.job.chdir must be false, got true: relative paths are relative to where the command is given"
@@ -163,7 +163,7 @@ def _check_places(config: "RunConfig") -> None:
 
 
 def _say_where(config: "RunConfig", run: "TrackedRun") -> None:
-    """Where the results and the dashboard are."""
+    """Log the places of the results and of the dashboard."""
     from negopipe.tracking.dashboard import command_for
 
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
@@ -174,7 +174,7 @@ def _say_where(config: "RunConfig", run: "TrackedRun") -> None:
 
 
 def _tags(name: str) -> dict[str, str]:
-    """What the command line was, and of which sweep it is a job: runs stay flat, and a tag groups them."""
+    """Tags of a run: its command line, and the sweep whose job it is. Runs stay flat, and the tag groups them."""
     hydra = HydraConfig.get()
     places = [source.path for source in hydra.runtime.config_sources if source.provider == "command-line"]
     where = [word for place in places for word in ("--config-dir", place)]
@@ -186,13 +186,13 @@ def _tags(name: str) -> dict[str, str]:
 
 
 def _note_failure(error: Exception) -> None:
-    """Leave a line for `main`; a bug shows its traceback here, where it still has one."""
+    """Note a line for `main`; the traceback of a bug is printed here, where it exists."""
     if FAILURES not in os.environ and os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
     line = str(error)
     if isinstance(error, OSError) and error.errno in DISK_FAULTS:
         place = f" {error.filename}" if error.filename else ""
-        line = f"outputs must be a folder that takes what is written, got {error.strerror}:{place}; {GOES_ON}"
+        line = f"outputs must be a folder that takes what is written, got {error.strerror}:{place}; {RESUME}"
     elif not isinstance(error, UserError):
         traceback.print_exception(error)
         line = f"failed with {type(error).__name__}: {' '.join(HydraConfig.get().overrides.task)}"
@@ -205,8 +205,7 @@ def _note_failure(error: Exception) -> None:
 
 @contextmanager
 def _process() -> Iterator[None]:
-    """What the process does meanwhile: SIGTERM ends it like Ctrl-C, and what its output has no characters for is
-    written as an escape."""
+    """Context in which SIGTERM ends the process like Ctrl-C, and characters that stdout's encoding lacks are escaped."""
     errors, is_main = sys.stdout.errors, threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGTERM, _terminate) if is_main else None  # Python handles signals nowhere else
     _escape(errors and "backslashreplace")
@@ -219,7 +218,7 @@ def _process() -> Iterator[None]:
 
 
 def _escape(errors: str | None) -> None:
-    """How stdout writes what its encoding does not have, where it has an encoding."""
+    """Set how stdout writes characters that its encoding lacks."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors=errors)
 

@@ -54,6 +54,6 @@ FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_len
 Interval = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_is_ordered)]
 PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_is_ordered)]
 Distinct = AfterValidator(_has_no_twins)
-"""Annotation of a list in which a value that comes twice would be done twice, or be two of one name."""
+"""Annotation of a list whose values must differ."""
 PathText = Annotated[str, Field(min_length=1), AfterValidator(expanded)]
 """A path; a leading `~` is replaced."""

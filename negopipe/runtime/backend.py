@@ -1,4 +1,4 @@
-"""What a run computes with: device, compiled or not, how many threads. Chosen once, at the run's first start."""
+"""Device, compilation and threads of a run, chosen once at its first start."""
 
 import ctypes
 import importlib
@@ -24,14 +24,14 @@ log = logging.getLogger("negopipe")
 
 BACKEND_NAME = "backend.json"
 MAX_THREADS = 4
-"""More do not make worlds of this size faster; a machine's other cores are for other runs."""
+"""Largest number of threads that `auto` stands for. More do not make worlds of this size faster."""
 
 
 def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
-    """The config with every `auto` of device, compile and n_threads replaced by what it stands for.
+    """The config with every `auto` of device, compile and n_threads replaced by a value.
 
-    The choice is kept in `folder`, so that a run which goes on computes as it began, whatever has changed on the
-    machine: other rounding would make it another run. A value that is given counts as given.
+    The choice is kept in `folder`, so that a resumed run computes as it began, whatever has changed on the machine:
+    other rounding would make it another run. A value other than `auto` stays.
     """
     kept = kept_choices(folder)
     chosen = kept or _choose()
@@ -51,19 +51,19 @@ def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
 
 
 def kept_choices(folder: Path) -> dict[str, Any]:
-    """What the run in `folder` has chosen so far, by key; empty at its first start."""
+    """Choices of the run in `folder` by key; empty at its first start."""
     path = folder / BACKEND_NAME
     return json.loads(path.read_text()) if path.exists() else {}
 
 
 def keep_choices(folder: Path, choices: dict[str, Any]) -> None:
-    """Keep these beside what is kept already."""
+    """Add choices to those that are kept."""
     content = json.dumps(kept_choices(folder) | choices, indent=2) + "\n"
     write_whole(folder / BACKEND_NAME, content.encode())
 
 
 def prepare(config: "RunConfig") -> None:
-    """Set torch up for a settled config."""
+    """Set torch up for a config without `auto`."""
     torch.set_num_threads(int(config.n_threads))
     keep_freed_memory()
     if config.compile == "on":
@@ -75,8 +75,8 @@ def prepare(config: "RunConfig") -> None:
 
 
 def _set_up_compiler() -> None:
-    """Make room, since a sweep's jobs share a process and each compiles its own scenario; and compile in the thread
-    that asks, since a forked process would wait for ever for threads that only its parent has.
+    """Clear compiled code, since a sweep's jobs share a process and each compiles its own scenario. Compile in the
+    calling thread, since a forked process would wait for ever for threads that only its parent has.
     """
     dynamo = importlib.import_module("torch._dynamo")  # takes seconds, which only a compiled run should wait for
     dynamo.reset()

@@ -1,4 +1,4 @@
-"""Bare passes of the network: what no iteration can do without, and nothing else of it."""
+"""Bare passes of the network: the part of an iteration that no implementation can leave out."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ from negopipe.policy.actor_critic import ActorCritic
 
 
 def random_grids(n: int, shape: tuple[int, int, int], device: torch.device) -> Tensor:
-    """[n, C, H, W] uint8 on `device`, 0 or 1: how fast a network is does not depend on what it is shown."""
+    """[n, C, H, W] uint8 on `device`, 0 or 1: a network's speed does not depend on its input."""
     grids = torch.randint(0, 2, (n, *shape), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     return grids.to(device)
 
@@ -21,14 +21,14 @@ def forward(policy: ActorCritic, grids: Tensor) -> None:
 
 
 def forward_backward(policy: ActorCritic, grids: Tensor) -> None:
-    """Leaves a gradient at every weight."""
+    """Forward and backward pass; a gradient is left at every weight."""
     policy.zero_grad(set_to_none=True)
     logits, value = policy(grids)
     (logits.sum() + value.sum()).backward()
 
 
 def minibatch_sizes(algorithm: AnyAlgorithmConfig) -> list[int]:
-    """Of an iteration's decisions as they are learnt from."""
+    """Sizes of the minibatches of an iteration."""
     n = algorithm.n_worlds * algorithm.n_steps
     return [len(part) for part in torch.arange(n).chunk(-(-n // algorithm.minibatch_size))]
 
@@ -36,7 +36,7 @@ def minibatch_sizes(algorithm: AnyAlgorithmConfig) -> list[int]:
 def iteration_passes(
     policy: ActorCritic, algorithm: AnyAlgorithmConfig, shape: tuple[int, int, int], device: torch.device
 ) -> Callable[[], None]:
-    """All that an iteration must ask of the network: each decision forward once, and forward and backward per epoch.
+    """The passes of an iteration: each decision forward once, and forward and backward once per epoch.
 
     The forward passes are made in minibatches as well, where collecting makes them `n_worlds` at a time; in
     larger batches the network is faster, so what an iteration is held against is as short as it can be.

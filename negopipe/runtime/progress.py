@@ -1,4 +1,4 @@
-"""Progress of long work: a live bar on a terminal, a line now and then elsewhere."""
+"""Progress of long work: a live bar on a terminal, a line at intervals elsewhere."""
 
 import time
 from types import TracebackType
@@ -33,7 +33,7 @@ class ProgressLine:
         self._started_s = self._said_s = time.monotonic()
 
     def advance(self, text: str, n: int = 1) -> None:
-        """`n` more steps are done; `text` says how it goes."""
+        """Count `n` more steps; `text` stands beside the bar."""
         self.n_done += n
         self._bar.update(self._task, advance=n, text=text)
         now_s = time.monotonic()

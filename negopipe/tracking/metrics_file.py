@@ -19,7 +19,7 @@ def merge_into(path: Path, section: Mapping[str, Any]) -> None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """What the file holds; nothing where there is none."""
+    """Content of the file; empty where there is none."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 

@@ -23,13 +23,13 @@ class Snapshots:
         self.folder, self.n_kept = folder, n_kept
 
     def save(self, step: int, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
-        """Add the snapshot of `step`; a process that is killed meanwhile leaves those that were there."""
+        """Add the snapshot of `step`; a process that is killed meanwhile leaves the earlier ones."""
         save_checkpoint(self.folder / f"{step:09d}.safetensors", tensors, metadata)
         for path in self._paths()[: -self.n_kept]:
             path.unlink()
 
     def newest(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        """Tensors and metadata of the newest snapshot that is whole; None where there is none."""
+        """Tensors and metadata of the newest whole snapshot; None where there is none."""
         for path in reversed(self._paths()):
             try:
                 return load_checkpoint(path)
@@ -38,7 +38,7 @@ class Snapshots:
         return None
 
     def remove(self) -> None:
-        """The work is finished: delete all."""
+        """Delete all snapshots, once the work is finished."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _paths(self) -> list[Path]:

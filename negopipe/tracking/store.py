@@ -1,7 +1,7 @@
-"""One run, from its beginning to its end, and what it tells the store.
+"""One run, from its beginning to its end, and its entries in the store.
 
-What a run has to tell goes to its journal first and from there to the store, so that a store which is out of reach
-stops nobody and misses nothing.
+Every entry goes to the run's journal first and from there to the store, so that a store out of reach stops no run and
+misses no entry.
 """
 
 import logging
@@ -53,8 +53,8 @@ log = logging.getLogger("negopipe")
 
 _PARAM_CHARACTERS = 6000
 _PAUSE_PER_TRY = 20
-"""A store that is out of reach is tried again after so many times as long as the last try took: waiting for an
-answer costs a training 5 % of its time at most."""
+"""Pause before a store out of reach is tried again, in durations of the last try: waiting for an answer costs a
+training 5 % of its time at most."""
 
 
 @schema
@@ -95,11 +95,11 @@ def open_run(
 
     resolved: the full config as plain mappings; it becomes the run's parameters and its config.yaml
     tags: what the store is told beside
-    source: hash of the code; a run that other code has worked on is not gone on with
-    takes_any_code: but for this, it is
-    is_fresh: begin anew in any case
+    source: hash of the code; a run of other code is not resumed
+    takes_any_code: it is resumed all the same
+    is_fresh: no run is resumed
 
-    A run that is not gone on with is kept beside, as `<run_name>.old1` and so on. What has begun ends as FINISHED, as
+    A run that is not resumed is kept as `<run_name>.old1` and so on. What has begun ends as FINISHED, as
     FAILED on an exception, and as KILLED when the process is told to stop.
     Raises UserError if another process holds the folder, and, before anything is made, where there can be no such
     store.
@@ -211,11 +211,11 @@ class TrackedRun:
         self._journal.append("params", values=params)
 
     def has_finished(self, stage: str, key: str) -> bool:
-        """The stage has been run to its end in this folder, with the config that `key` is the hash of."""
+        """Whether the stage was finished in this folder, with the config of hash `key`."""
         return self._record.has_finished(stage, key, self.accepted)
 
     def mark_finished(self, stage: str, key: str, source: str | None = None) -> None:
-        """From now on the stage need not be run again.
+        """Record that the stage is finished and need not run again.
 
         source: hash of the code that made it, if not of this process
         """
@@ -227,7 +227,7 @@ class TrackedRun:
             self.set_tags(self._record.tags)
 
     def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
-        """Scalars of one step; sent in batches, in the order of the calls.
+        """Log scalars of one step; they are sent in batches, in the order of the calls.
 
         What an earlier process of this run has logged is not logged twice.
         """
@@ -306,11 +306,11 @@ class TrackedRun:
         return self._journal.append(kind, time_ms, **content)
 
     def sync(self) -> None:
-        """All that was logged so far is on the disk: the work after it may be known to be done."""
+        """Write all entries so far to the disk, before later work is recorded as done."""
         self._journal.sync()
 
     def deliver(self) -> None:
-        """Bring what waits to the store, if it is in reach."""
+        """Send waiting entries to the store, if it is in reach."""
         started_s = time.monotonic()
         if started_s < self._next_try_s:
             return
@@ -325,7 +325,7 @@ class TrackedRun:
         self._sent_s = time.monotonic()
 
     def close(self, status: str) -> None:
-        """The end: metrics.json goes to the artifacts, the status becomes final, what waits is sent."""
+        """End the run: metrics.json becomes an artifact, the status becomes final, waiting entries are sent."""
         if self.has_begun:
             if (self.folder / METRICS_NAME).exists():
                 self._tell("artifact", path=METRICS_NAME, folder="")
@@ -374,7 +374,7 @@ def _final_status(run: TrackedRun) -> Iterator[None]:
 
 
 def _close_failed(run: TrackedRun) -> None:
-    """What made the run fail, a full disk say, may keep it from saying so: then the next start does."""
+    """Close a failed run. The cause, such as a full disk, may prevent that: then the next start closes it."""
     try:
         run.close("FAILED")
     except OSError as error:
@@ -382,9 +382,9 @@ def _close_failed(run: TrackedRun) -> None:
 
 
 def _continued(record: RunRecord | None, accepted: str | None) -> RunRecord | None:
-    """The record of a run to go on with, if there is one."""
+    """Record of the run to resume, if there is one."""
     if record is not None and accepted not in (None, record.source):
-        log.info("run        begins anew: other code made what is there (reuse=any_code takes it all the same)")
+        log.info("run        starting anew: other code made the results in its folder (reuse=any_code accepts them)")
         return None
     return record
 

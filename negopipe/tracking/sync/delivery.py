@@ -1,4 +1,4 @@
-"""From a run's journal to a store: complete, in order and nothing twice, however often it is broken off.
+"""Delivery of a run's journal to a store: complete, in order and without repetition, also after interruptions.
 
 What is sent again after a crash does no harm: the store takes a metric of the same time, step and value, a tag or a
 file for the one it has. A run, its checkpoints and its images, which it would make twice, are
@@ -242,7 +242,7 @@ class Delivery:
 
 
 def _is_there(path: Path) -> bool:
-    """A warning where it is not: somebody has tidied up."""
+    """Whether the file exists; a warning where it was deleted."""
     if not path.exists():
         log.warning(f"store      is not given {path}, which is no longer there")
     return path.exists()

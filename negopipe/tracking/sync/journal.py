@@ -1,4 +1,4 @@
-"""The journal of a run: all that it has to tell a store, in order, on disk before anything is sent."""
+"""Journal of a run: its entries for a store, in order, on disk before they are sent."""
 
 import json
 import os
