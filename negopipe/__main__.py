@@ -205,7 +205,7 @@ def _note_failure(error: Exception) -> None:
 
 @contextmanager
 def _process() -> Iterator[None]:
-    """Context in which SIGTERM ends the process like Ctrl-C, and characters that stdout's encoding lacks are escaped."""
+    """Context in which SIGTERM ends the process like Ctrl-C, and stdout escapes characters that its encoding lacks."""
     errors, is_main = sys.stdout.errors, threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGTERM, _terminate) if is_main else None  # Python handles signals nowhere else
     _escape(errors and "backslashreplace")
