@@ -20,7 +20,7 @@ def default(name: str, value: str) -> None:
 
 
 def drop_empty(*beginnings: str) -> None:
-    """Unset empty variables whose names begin so: libraries take an empty text for a value."""
+    """Unset empty variables whose names have one of these beginnings: libraries take an empty text for a value."""
     for name in [name for name, value in os.environ.items() if not value and name.startswith(beginnings)]:
         del os.environ[name]
 

@@ -35,10 +35,10 @@ def load_config(*overrides: str) -> RunConfig:
 
 
 def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
-    """The configuration that `python -m negopipe <overrides>` would run with; UserError where it would refuse them.
+    """The configuration of `python -m negopipe <overrides>`; UserError where that command would refuse them.
 
-    Hydra's public way to compose is one per process, and the user's program may have taken it with configs of its own.
-    This loads beside it: whatever Hydra holds for that program is neither used nor changed.
+    Hydra composes one program's configs per process, and these may be the user's own. This loader works beside it: the
+    state that Hydra holds for that program is neither used nor changed.
     """
     try:
         with _version_base("1.3"):
@@ -66,7 +66,7 @@ def _loader() -> ConfigLoaderImpl:
 
 @contextmanager
 def _version_base(version: str) -> Iterator[None]:
-    """Context with another version of the rules by which Hydra reads configs. They belong to the process."""
+    """Context in which Hydra reads configs by the rules of a version. The version belongs to the process."""
     with _alone:
         base = VersionBase.instance()
         before = base.version_base

@@ -5,7 +5,7 @@ the parts of its logging. It refuses callables that are known to run code, but n
 a file). negopipe has no callback and logs with the standard library.
 
 The import alone installs the checks, and `negopipe.__main__` imports this: in a launcher's worker, Hydra sets up
-logging before it calls any code of negopipe. There is no public way, so hydra-core is pinned to one version.
+logging before it calls any code of negopipe. Hydra has no public interface for this, so its version is pinned.
 """
 
 from collections.abc import Iterator, Mapping

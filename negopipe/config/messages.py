@@ -56,7 +56,10 @@ def as_text(override: str) -> str | None:
 
 
 def misread(values: Any, key: str = "") -> str | None:
-    """What JSON would change or refuse without naming a key: names that are no texts, texts that are no Unicode."""
+    """Message for a value that JSON would change or refuse without its key; None where there is none.
+
+    Such values are names that are no texts and texts that are not Unicode.
+    """
     if isinstance(values, Mapping):
         odd = [name for name in values if not isinstance(name, str)]
         if odd:
@@ -77,7 +80,7 @@ _UNREADABLE = f"must be UTF-8{_READ_AS}"
 
 
 def _is_not_unicode(value: Any) -> bool:
-    """A command line that Python could not decode holds the bytes that it could not."""
+    """Whether the value is a text with bytes that Python could not decode."""
     return isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value)
 
 

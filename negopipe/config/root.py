@@ -38,7 +38,7 @@ from negopipe.tracking.store import TrackingConfig
 Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "benchmark"]
 
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
-"""<setting>/<planner>/<number>, columns of episodes.csv."""
+"""Name of an episode, `<setting>/<planner>/<number>`: three columns of episodes.csv."""
 
 RESULT_NEUTRAL = {
     "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "tracking",
@@ -50,7 +50,7 @@ and round differently. The seed stands beside the hash, so a config's seeds shar
 
 @schema
 class RunConfig:
-    """All values that a run depends on; `conf/config.yaml` says what each one means."""
+    """All values that a run depends on; `conf/config.yaml` explains them."""
 
     name: FileName
     seed: Seed
@@ -90,7 +90,7 @@ def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
     """The checked and frozen config of Hydra's composition; UserError names every wrong key in one line.
 
     Types are strict: a text is no number and `true` is no 1.
-    typed: overrides of the command line, for errors that show how to write them
+    typed: overrides of the command line, for error messages
     """
     try:
         values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
@@ -115,7 +115,8 @@ def as_mapping(config: RunConfig) -> dict[str, Any]:
 def run_name(config: RunConfig) -> str:
     """Name of the run folder, `seed<seed>-<8 hex>`: the same for everything that gives the same result.
 
-    The group of a stage counts where that stage runs alone; among others it adds to a run, whose folder it leaves.
+    The config group of a stage counts only where that stage runs alone. Beside other stages it adds to their run, which
+    keeps its folder.
     """
     alone = set(config.stages) if len(config.stages) == 1 else set()
     others = set(get_args(Stage)) - alone
@@ -192,6 +193,6 @@ def _memory(config: RunConfig) -> Iterator[Memory]:
 
 
 def _size_at(config: RunConfig, key: str) -> str:
-    """The value at a dotted key; of a list, how many items it has."""
+    """The value at a dotted key; the number of items of a list."""
     value = attrgetter(key)(config)
     return f"{len(value)} items" if isinstance(value, list | tuple | dict) else str(value)

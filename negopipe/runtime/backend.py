@@ -118,10 +118,8 @@ def _warn_of_threads(n_threads: int) -> None:
     """Log a warning where threads must share cores. It is no error: a run may be resumed on a smaller machine."""
     n_cores = _n_cores()
     if n_cores is not None and n_threads > n_cores:
-        slow = "threads that wait for each other make training many times slower"
-        log.warning(
-            f"backend    n_threads should be at most {n_cores}, the cores of this process, got {n_threads}: {slow}"
-        )
+        rule = f"n_threads should be at most {n_cores}, the cores of this process, got {n_threads}"
+        log.warning(f"backend    {rule}: threads that wait for each other make training many times slower")
 
 
 def _check(config: "RunConfig") -> None:

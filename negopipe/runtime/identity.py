@@ -22,10 +22,10 @@ DEPENDS_ON = {
     "oracle": (*_GAME, "evaluation", "oracle"),
     "benchmark": (*_TRAINING, "n_threads", "evaluation", "benchmark", "tracking"),
 }
-"""Groups of the config that a stage's result depends on, those of the stages that it builds on included."""
+"""Groups of the config that a stage's result depends on, including those of the stages that it builds on."""
 
 STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report", "replay")
-"""Stages whose result also depends on `checkpoint`: the policy is trained from it or, without training, is it."""
+"""Stages whose result also depends on `checkpoint`, the start of the training or, without training, the policy."""
 
 NEED_THE_ORACLE = ("evaluate", "report", "replay")
 """Stages whose result also depends on the content of `evaluation.oracle`."""
@@ -35,19 +35,20 @@ MAPPED = "behaviour_map"
 NOT_TRAINED_ON = ("families",)
 """Keys of the scenario that training does not depend on: it draws from the curriculum's families."""
 WITHOUT_NETWORK = ("behaviour_map", "oracle")
+"""Stages that build no network."""
 ONLY_COMPUTED_WITH = ("precision",)
 """Keys of the policy that stages without a network do not depend on."""
 ONLY_ROUNDED_BY = ("memory_format",)
-"""Keys of the policy that only order sums, as threads do. A timing may resolve them otherwise in another run of the
-same config, whose training is taken over all the same."""
+"""Keys of the policy that only change the order of sums, as threads do. Another run of the same config may resolve them
+otherwise by its timing, and its training is taken over all the same."""
 ONLY_SHOWN = ("leading_setting",)
-"""Keys of the evaluation that only order the report."""
+"""Keys of the evaluation that only change the order of the report."""
 ONLY_NAMES = ("experiment", "registered_model")
 """Keys of tracking that do not change its cost, which the benchmark measures."""
 
 
 def stage_key(config: RunConfig, stage: str) -> str:
-    """Hash of all that the result of `stage` depends on in a config without `auto`, a checkpoint's content included."""
+    """Hash of all that the result of `stage` depends on, with a checkpoint's content, in a config without `auto`."""
     values = as_mapping(config)
     relevant: dict[str, Any] = {group: values[group] for group in DEPENDS_ON[stage]}
     if stage == "train":
@@ -73,7 +74,7 @@ def stage_key(config: RunConfig, stage: str) -> str:
 
 @cache
 def source_hash() -> str:
-    """Hash of the package's code, taken once per process: all code is loaded then."""
+    """Hash of the package's code, computed once per process, when all code is loaded."""
     package = Path(negopipe.__file__).parent
     total = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):

@@ -5,14 +5,14 @@ import threading
 from types import FrameType, TracebackType
 
 PATIENCE_S = 5
-"""Longest wait for the end of a step. A longer step is broken off, and the work since the last snapshot is lost."""
+"""Longest wait for the end of a step, s. A longer step is broken off, and the work since the last snapshot is lost."""
 
 
 class DeferredInterrupt:
     """Context manager that defers Ctrl-C and SIGTERM to the end of the running step, by `PATIENCE_S` at most.
 
-    A call tells whether a signal has come; `raise_if_requested` then raises what the signal would have raised. A second
-    signal acts at once.
+    A call of the object returns whether a signal has come. `raise_if_requested` then raises the signal's exception. A
+    second signal acts at once.
     """
 
     def __init__(self) -> None:

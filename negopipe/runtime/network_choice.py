@@ -27,32 +27,35 @@ STAGES = {"train", "evaluate", "benchmark"}
 PREFERRED = {"precision": ("float32", "bfloat16"), "memory_format": ("channels_last", "channels_first")}
 """Values that `auto` may stand for, by key of the policy: the first, unless the second is `GAIN` times as fast."""
 GAIN = 1.05
-"""Smallest gain in speed that decides. A smaller one would fall to chance, and runs of one config would differ."""
+"""Smallest ratio of speeds that decides. With a smaller one, runs of one config would differ by chance."""
 
 N_ROUNDS, ENOUGH_S = 5, 1.5
-"""Most rounds of a timing, and the time after which no further round begins."""
+"""Largest number of rounds of a timing, and the time after which no further round begins, s."""
 
 N_GRIDS = 128
-"""Most grids that are timed on a CPU: per grid, variants compare as in larger batches."""
+"""Largest number of grids that are timed on a CPU: the ratio of the variants is that of larger batches."""
 
 HOPELESS = 4.0
-"""A variant that takes so many times as long as the fastest to warm up is not timed: a processor without bfloat16
-takes seconds for every pass."""
+"""Ratio of warm-up times, to the fastest, above which a variant is not timed: a processor without bfloat16 takes
+seconds for every pass."""
 
 
 class Variant(NamedTuple):
+    """A precision and a memory format of the network."""
+
     precision: str
     memory_format: str
 
 
 Seconds = dict[Variant, float]
+"""Time of a pass by variant, s."""
 
 
 def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
     """The config with every `auto` of policy.precision and policy.memory_format replaced by the faster value.
 
-    Torch must have been prepared for the config (`backend.prepare`), whose device and threads the timing takes. The
-    choice is kept beside the backend's in `folder`, for a resumed run. A value other than `auto` stays.
+    Torch must have been prepared for the config (`backend.prepare`): the timing uses its device and threads. The choice
+    is kept beside the backend's in `folder`, for a resumed run. A value other than `auto` stays.
     """
     autos = [key for key in PREFERRED if getattr(config.policy, key) == "auto"]
     kept = {key: value for key, value in kept_choices(folder).items() if key in autos}
@@ -102,7 +105,7 @@ def time_variants(config: "RunConfig", among: Iterable[Variant]) -> Seconds:
 
 
 def fastest(seconds: Seconds) -> Variant:
-    """The faster precision, each with its faster memory format; see `PREFERRED`."""
+    """The faster of the precisions, each with its faster memory format, by the rule of `PREFERRED`."""
     precisions = dict.fromkeys(variant.precision for variant in seconds)
     winners = [_leader(seconds, [v for v in seconds if v.precision == name]) for name in precisions]
     return _leader(seconds, winners)
@@ -118,7 +121,7 @@ def _n_timed(config: "RunConfig") -> int:
 
 
 def _comparison(seconds: Seconds, chosen: Variant) -> str:
-    """Time of the choice beside the best of the other precision, or else of the other memory format."""
+    """Time of the choice, beside the best time of the other precision or, without one, of the other memory format."""
     said = f"{1e3 * seconds[chosen]:.3g} ms"
     others = [v for v in seconds if v.precision != chosen.precision] or [v for v in seconds if v != chosen]
     if not others:

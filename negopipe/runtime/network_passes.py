@@ -1,4 +1,4 @@
-"""Bare passes of the network: the part of an iteration that no implementation can leave out."""
+"""Passes of the network alone: the part of an iteration that every implementation has."""
 
 from collections.abc import Callable
 
@@ -10,13 +10,14 @@ from negopipe.policy.actor_critic import ActorCritic
 
 
 def random_grids(n: int, shape: tuple[int, int, int], device: torch.device) -> Tensor:
-    """[n, C, H, W] uint8 on `device`, 0 or 1: a network's speed does not depend on its input."""
+    """Random grids [n, C, H, W] uint8, 0 or 1, on `device`, for timings: a network's speed does not depend on them."""
     grids = torch.randint(0, 2, (n, *shape), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     return grids.to(device)
 
 
 @torch.no_grad()
 def forward(policy: ActorCritic, grids: Tensor) -> None:
+    """Forward pass without gradients."""
     policy(grids)
 
 
@@ -36,10 +37,10 @@ def minibatch_sizes(algorithm: AnyAlgorithmConfig) -> list[int]:
 def iteration_passes(
     policy: ActorCritic, algorithm: AnyAlgorithmConfig, shape: tuple[int, int, int], device: torch.device
 ) -> Callable[[], None]:
-    """The passes of an iteration: each decision forward once, and forward and backward once per epoch.
+    """The passes of an iteration: forward once per decision, and forward and backward once per decision and epoch.
 
-    The forward passes are made in minibatches as well, where collecting makes them `n_worlds` at a time; in
-    larger batches the network is faster, so what an iteration is held against is as short as it can be.
+    The forward passes are made in minibatches too, although the collection makes them `n_worlds` at a time. The network
+    is faster in larger batches, so this is a lower bound on the time of an iteration.
     """
     sizes = minibatch_sizes(algorithm)
     grids = random_grids(max(sizes), shape, device)

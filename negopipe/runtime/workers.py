@@ -1,7 +1,7 @@
 """Independent jobs side by side, in processes of one thread each.
 
-Tensors of the simulation are too small to gain from threads, so a machine with many cores is used by processes. They
-are forked and share all objects of the jobs, also the compiled game.
+Tensors of the simulation are too small to gain from threads, so the cores of a machine are used by processes. They are
+forked and share all objects of the jobs, among them the compiled game.
 """
 
 import os
@@ -21,7 +21,7 @@ from negopipe.tensors.torch_settings import one_thread
 T = TypeVar("T")
 
 LOOK_S = 1.0
-"""Interval at which a worker checks that its parent is alive."""
+"""Time between two checks of a worker that its parent is alive, s."""
 
 _inherited: Sequence[Callable[[], Any]] = ()
 """Jobs of a worker, inherited by the fork."""
@@ -35,8 +35,8 @@ def n_processes(device: str, n_threads: int) -> int:
 def side_by_side(jobs: Sequence[Callable[[], T]], n: int, on_done: Callable[[int], None]) -> list[T]:
     """Results of the jobs in their order; `on_done` is called with the index of each finished job.
 
-    n: processes; with 1 the jobs run in this process, in one thread as well, so that results do not depend on n
-    Raises the error of a job and gives the others up. A killed process raises BrokenProcessPool.
+    n: number of processes; with 1 the jobs run in this process, in one thread too, so that results do not depend on n
+    Raises the error of a job and cancels the others. A killed process raises BrokenProcessPool.
     """
     if min(n, len(jobs)) <= 1:
         return _one_by_one(jobs, on_done)
@@ -75,6 +75,7 @@ def _begin(jobs: Sequence[Callable[[], Any]], parent: int) -> None:
 
 
 def _end_with(parent: int) -> None:
+    """End this process once its parent has ended."""
     while os.getppid() == parent:
         time.sleep(LOOK_S)
     os._exit(1)
