@@ -1,4 +1,4 @@
-"""Record of a run in its folder, by which the same command resumes it and repeats nothing."""
+"""Record of a run in its folder, from which the same command resumes it without repeating finished stages."""
 
 import json
 import logging

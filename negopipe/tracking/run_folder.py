@@ -58,5 +58,5 @@ def link_or_copy(path: Path, kept: Path) -> None:
     kept.unlink(missing_ok=True)
     try:
         os.link(path, kept)
-    except OSError:  # a file system that knows no links
+    except OSError:  # a file system without links
         shutil.copyfile(path, kept)

@@ -1,4 +1,4 @@
-"""Snapshots of unfinished work: the last few, whole, and readable without running code."""
+"""Snapshots of unfinished work: the latest few, each written whole and read without running code."""
 
 import logging
 import shutil
@@ -16,7 +16,7 @@ log = logging.getLogger("negopipe")
 class Snapshots:
     """A folder of snapshots, one file each, named by the step after which it was taken.
 
-    n_kept: so many are kept, older ones are deleted; where the newest is damaged, the one before it counts
+    n_kept: number of snapshots that are kept; older ones are deleted. A damaged snapshot is skipped for the one before
     """
 
     def __init__(self, folder: Path, n_kept: int) -> None:

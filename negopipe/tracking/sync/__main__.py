@@ -16,7 +16,7 @@ from negopipe.tracking.sync.journal import JOURNAL_NAME
 def deliver(outputs: Path, uri: str | None) -> int:
     """Deliver the runs of `outputs` to the store at `uri`, None = the one in `outputs`; returns how many are complete.
 
-    Raises UserError where it can be no store, MlflowException or OSError where it is out of reach.
+    Raises UserError where no such store is possible, MlflowException or OSError where it is out of reach.
     """
     outputs = outputs.absolute()
     sqlite_file(outputs, uri)
