@@ -1,6 +1,6 @@
 """The only Hydra entry: compose `conf/` -> RunConfig -> run its stages.
 
-Nothing heavy is imported before a run starts, so that `--help` and a mistyped key are answered at once.
+Heavy modules are imported only when a run starts, so that `--help` and a mistyped key are answered at once.
 """
 
 import errno
@@ -43,24 +43,25 @@ log = logging.getLogger("negopipe")
 
 environment.drop_empty("OMP_NUM_THREADS", "CXX", "TORCHINDUCTOR_CACHE_DIR")  # of torch
 environment.default("GOMP_SPINCOUNT", "30000")
-"""Threads of torch that wait spin for a moment only and then sleep: on shared cores endless spinning made
-collecting three times slower, and never spinning costs a quarter on idle ones. Read when torch is imported."""
+"""Spins of torch's waiting threads before they sleep, read when torch is imported. On shared cores endless spinning
+made collecting three times slower; on idle cores no spinning costs a quarter."""
 
 FAILURES = "NEGOPIPE_FAILURES"
-"""Environment variable: the file in which the jobs of a command note why they failed. An exception would not
-do: Hydra prints a line of its own about a job that raises, and of a sweep it tells the first failure only."""
+"""Environment variable with the file to which the jobs of a command write their failures. Exceptions would not do:
+Hydra prints a line of its own for a job that raises, and reports only the first failure of a sweep."""
 
 DISK_FAULTS = {
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),  # no room
     *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.ENAMETOOLONG),  # no right, no folder
 }
-GOES_ON = "what was finished is kept and the same command goes on from there"
+"""Error numbers of an OSError that the user can correct: the outputs folder takes no more files."""
+RESUME = "finished work is kept, and the same command resumes the run"
 
 
 def main() -> int:
-    """Run the command line; 0, 1 (failed, said in one line), 130 (Ctrl-C) or, by SystemExit, 143.
+    """Run the command line. Exit status 0, 1 (failed, with one line on stderr), 130 (Ctrl-C) or, by SystemExit, 143.
 
-    It may be called in any thread, and leaves the process's signal handlers and streams as they were.
+    It may be called in any thread and restores the process's signal handlers and streams.
     """
     with _process():
         return _run_command()
@@ -74,7 +75,7 @@ def _run_command() -> int:
     with tempfile.NamedTemporaryFile("r", prefix="negopipe-", encoding="utf-8") as failures:
         lines = []
         try:
-            # with full errors, they reach this function instead of being printed by Hydra
+            # Hydra then raises its errors instead of printing them
             with env_override({"HYDRA_FULL_ERROR": "1", FAILURES: failures.name}):
                 pipeline()
         except (HydraException, OmegaConfBaseException, YAMLError) as error:
@@ -94,8 +95,8 @@ def _run_command() -> int:
 
 @hydra.main(config_path=str(CONF), config_name="config", version_base="1.3")
 def pipeline(composed: DictConfig) -> float | None:
-    """One job of the command line, in this process or in a launcher's worker; its objective, for sweepers."""
-    assert hydra_targets  # named here, it is imported in a worker before Hydra makes anything of the job's config
+    """Run one job of the command line, in this process or a launcher's worker; returns its objective, for sweepers."""
+    assert hydra_targets  # a worker thereby imports it before Hydra makes objects of the job's config
     with _process():
         try:
             return run_stages(composed)
@@ -118,10 +119,10 @@ def run_stages(composed: DictConfig) -> float | None:
 
     config = load(composed, HydraConfig.get().overrides.task)
     _check_places(config)
-    # all code is loaded now, so that what is edited during a long run does not end up in it
+    # all code is loaded now, so that edits during a long run do not end up in it
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
-        find_checkpoint(config.checkpoint, config)  # before there is a run that could only fail
+        find_checkpoint(config.checkpoint, config)  # before a run is made that could only fail
     opened = open_run(
         config,
         run_name(config),
@@ -139,7 +140,7 @@ def run_stages(composed: DictConfig) -> float | None:
         for name, stage in zip(config.stages, stages, strict=True):
             key = stage_key(config, name)
             if run.has_finished(name, key):
-                log.info(f"{name:10} finished before, with the same config (rerun=true runs it again)")
+                log.info(f"{name:10} finished before with the same config (rerun=true runs it again)")
                 continue
             run.begin()
             if name == "train" and not config.rerun and take_over_training(config, run, key):
@@ -153,17 +154,17 @@ def run_stages(composed: DictConfig) -> float | None:
 
 
 def _check_places(config: "RunConfig") -> None:
-    """UserError where the run would write elsewhere than it is told, or into a folder whose name is no text."""
+    """UserError where Hydra would change the working directory, or where the run folder's name is no text."""
     if HydraConfig.get().job.chdir:
         raise UserError(
             "hydra.job.chdir must be false, got true: relative paths are relative to where the command is given"
         )
-    if problem := misread(str(Path(config.outputs).absolute()), "outputs"):  # this folder's own name, it may be
+    if problem := misread(str(Path(config.outputs).absolute()), "outputs"):  # it may come from the working directory
         raise UserError(problem)
 
 
 def _say_where(config: "RunConfig", run: "TrackedRun") -> None:
-    """Where the results and the dashboard are."""
+    """Log the places of the results and of the dashboard."""
     from negopipe.tracking.dashboard import command_for
 
     for label, file_name in {"metrics": "metrics.json", "report": "report.html"}.items():
@@ -174,7 +175,7 @@ def _say_where(config: "RunConfig", run: "TrackedRun") -> None:
 
 
 def _tags(name: str) -> dict[str, str]:
-    """What the command line was, and of which sweep it is a job: runs stay flat, and a tag groups them."""
+    """Tags of a run: its command line, and the sweep whose job it is. Runs stay flat, and the tag groups them."""
     hydra = HydraConfig.get()
     places = [source.path for source in hydra.runtime.config_sources if source.provider == "command-line"]
     where = [word for place in places for word in ("--config-dir", place)]
@@ -186,18 +187,18 @@ def _tags(name: str) -> dict[str, str]:
 
 
 def _note_failure(error: Exception) -> None:
-    """Leave a line for `main`; a bug shows its traceback here, where it still has one."""
+    """Write the error's line to the file of `main`. The traceback of a bug is printed here, where it exists."""
     if FAILURES not in os.environ and os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
     line = str(error)
     if isinstance(error, OSError) and error.errno in DISK_FAULTS:
         place = f" {error.filename}" if error.filename else ""
-        line = f"outputs must be a folder that takes what is written, got {error.strerror}:{place}; {GOES_ON}"
+        line = f"outputs must be a folder with room and write permission, got {error.strerror}:{place}; {RESUME}"
     elif not isinstance(error, UserError):
         traceback.print_exception(error)
         line = f"failed with {type(error).__name__}: {' '.join(HydraConfig.get().overrides.task)}"
     path = Path(os.environ.get(FAILURES, ""))
-    if not path.is_file():  # in a worker on another machine: the launcher brings it here
+    if not path.is_file():  # in a worker on another machine: the launcher carries the error
         raise UserError(line) from error
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(line) + "\n")
@@ -205,8 +206,7 @@ def _note_failure(error: Exception) -> None:
 
 @contextmanager
 def _process() -> Iterator[None]:
-    """What the process does meanwhile: SIGTERM ends it like Ctrl-C, and what its output has no characters for is
-    written as an escape."""
+    """Context in which SIGTERM ends the process like Ctrl-C, and stdout escapes characters that its encoding lacks."""
     errors, is_main = sys.stdout.errors, threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGTERM, _terminate) if is_main else None  # Python handles signals nowhere else
     _escape(errors and "backslashreplace")
@@ -219,17 +219,18 @@ def _process() -> Iterator[None]:
 
 
 def _escape(errors: str | None) -> None:
-    """How stdout writes what its encoding does not have, where it has an encoding."""
+    """Set how stdout writes characters that its encoding lacks."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors=errors)
 
 
 def _terminate(signum: int, frame: Any) -> None:
-    """SIGTERM unwinds the stack like Ctrl-C, so that the run's record is closed."""
+    """Signal handler that unwinds the stack like Ctrl-C, so that the run's record is closed."""
     raise SystemExit(128 + signum)
 
 
 def _from_here(path: Path) -> Path:
+    """The path relative to the working directory, where it lies below it."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 

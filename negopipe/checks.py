@@ -1,7 +1,7 @@
-"""What a component says of its own values: which do not go with the rest of the config, and how much memory they take.
+"""Checks that a component makes of its own values: problems with the rest of the config, and memory.
 
-A component owns its numbers, so it checks them and counts their bytes. `negopipe.config.root` asks every component,
-hands in what it needs of the others, and words what is wrong.
+A component owns its numbers, so it checks them and counts their bytes. `negopipe.config.root` calls every component
+with the values of others that it needs, and makes the error messages.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -10,19 +10,20 @@ from typing import Any, NamedTuple
 from negopipe.errors import abbreviate
 
 FLOAT_BYTES = 4
+"""Bytes of a float32."""
 
 N_TEMPORARIES = 16
-"""Tensors of one size that are alive together while one of them is computed, roughly."""
+"""Estimated number of tensors of one size in memory at once while one of them is computed."""
 
 N_COPIES = 4
-"""Copies of a minibatch's numbers that are alive together: values and gradients, old and new, roughly."""
+"""Estimated number of copies of a minibatch's numbers in memory at once: values and gradients, old and new."""
 
 WHOLE = 1e-6
-"""Control steps by which a time may miss a whole number of them, for what floats round."""
+"""Tolerance of a whole number of control steps, in control steps, for the rounding of floats."""
 
 
 class Problem(NamedTuple):
-    """A value that does not go with the others: `<key> must <rule>, got <value>`."""
+    """A value that does not fit the others: `<key> must <rule>, got <value>`."""
 
     key: str
     rule: str
@@ -30,7 +31,7 @@ class Problem(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Bytes that something takes at once, roughly, and the dotted keys that make it so."""
+    """Estimated bytes that a purpose needs at once, and the dotted keys that they depend on."""
 
     purpose: str
     n_bytes: float
@@ -38,11 +39,11 @@ class Memory(NamedTuple):
 
 
 Times = Mapping[str, Iterable[float]]
-"""Times in seconds by the key of each."""
+"""Times in seconds, by key."""
 
 
 def check_times(times_s: Times, dt_s: float) -> Iterator[Problem]:
-    """Times that do not end at a control step: they would act like another time."""
+    """Problems with times that are no whole number of control steps: they would act like another time."""
     for key, values in times_s.items():
         for time_s in values:
             n_steps = round(time_s / dt_s)
@@ -51,7 +52,7 @@ def check_times(times_s: Times, dt_s: float) -> Iterator[Problem]:
 
 
 def check_horizons(horizons_s: Times, dt_s: float, plan_s: float) -> Iterator[Problem]:
-    """Prediction horizons that are no whole control steps, or longer than plans: they would act like another one.
+    """Problems with prediction horizons that are longer than a plan or no whole number of control steps.
 
     plan_s: length of a plan, `planner.horizon_s`
     """
@@ -63,7 +64,7 @@ def check_horizons(horizons_s: Times, dt_s: float, plan_s: float) -> Iterator[Pr
 
 
 def check_names(key: str, names: Iterable[str], allowed: Iterable[str], source: str) -> Iterator[Problem]:
-    """Names that are not among those of the key `source`."""
+    """Problems with names that are not among those of the key `source`."""
     known = list(allowed)
     for name in names:
         if name not in known:

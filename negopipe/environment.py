@@ -1,6 +1,6 @@
-"""What the machine says of itself: environment variables, of which an empty one is an unset one, and the user's home.
+"""Environment variables, of which an empty one counts as unset, and the user's home.
 
-Importing this lets conf/ ask for both: `${negopipe.variable:NAME}` is the variable's value or null,
+The import registers two resolvers for conf/: `${negopipe.variable:NAME}` is the variable's value or null,
 `${negopipe.home:path}` is the path with `~` replaced.
 """
 
@@ -20,7 +20,7 @@ def default(name: str, value: str) -> None:
 
 
 def drop_empty(*beginnings: str) -> None:
-    """Unset the empty ones among the variables whose names begin so: libraries take an empty text for a value."""
+    """Unset empty variables whose names have one of these beginnings: libraries take an empty text for a value."""
     for name in [name for name, value in os.environ.items() if not value and name.startswith(beginnings)]:
         del os.environ[name]
 

@@ -1,10 +1,10 @@
-"""The one kind of error that is the user's to mend, and how a line shows a value."""
+"""The error that the user can correct, and values as a line shows them."""
 
 import json
 from typing import Any
 
 LONGEST_VALUE = 100
-"""Characters. What is longer is cut."""
+"""Longest value in a line, in characters. A longer one is cut."""
 
 
 class UserError(Exception):

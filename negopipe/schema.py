@@ -1,8 +1,8 @@
-"""How a component declares its configuration: one pydantic dataclass, ranges in the types.
+"""Schemas of the configuration: one pydantic dataclass per component, with ranges in the types.
 
-A component's dataclass lives in the component's own file and has no defaults: every value is written once,
-in `conf/`. Unknown keys are refused, wrong types and values out of range raise a `pydantic.ValidationError`
-that `negopipe.config.root` turns into one line.
+A component's dataclass is in the component's own file and has no defaults: every value is written once, in `conf/`.
+Unknown keys, wrong types and values out of range raise a `pydantic.ValidationError`, which `negopipe.config.root` turns
+into one line.
 """
 
 from collections import Counter
@@ -39,7 +39,7 @@ def _is_ordered(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 Real = float
-"""Any number but infinity and NaN, which no number of a config may be."""
+"""Any number. No number of a config may be infinite or NaN."""
 PositiveFloat = Annotated[float, Field(gt=0)]
 NonNegativeFloat = Annotated[float, Field(ge=0)]
 PositiveMetres = PositiveFloat
@@ -54,6 +54,6 @@ FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_len
 Interval = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_is_ordered)]
 PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_is_ordered)]
 Distinct = AfterValidator(_has_no_twins)
-"""Annotation of a list in which a value that comes twice would be done twice, or be two of one name."""
+"""Annotation of a list whose values must differ."""
 PathText = Annotated[str, Field(min_length=1), AfterValidator(expanded)]
 """A path; a leading `~` is replaced."""

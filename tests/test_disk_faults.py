@@ -60,4 +60,4 @@ def test_a_full_disk_ends_in_one_line_and_with_more_room_it_goes_on(tmp_path: Pa
 def test_a_read_only_folder_ends_in_one_line(tmp_path: Path) -> None:
     ((code, _, said),) = run_on("ro", tmp_path / "disk")
     assert code == 1
-    assert only_line(said).startswith("outputs must be a folder that takes what is written, got Read-only file")
+    assert only_line(said).startswith("outputs must be a folder with room and write permission, got Read-only file")

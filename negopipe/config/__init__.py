@@ -1,1 +1,1 @@
-"""The root config: composed by Hydra, checked and frozen; one line for whatever is wrong."""
+"""The root config: composed by Hydra, checked and frozen; every error is one line."""

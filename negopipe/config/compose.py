@@ -23,7 +23,7 @@ from negopipe.config.root import RunConfig, load
 from negopipe.errors import UserError
 
 _alone = threading.Lock()
-"""Held while Hydra's version base is ours."""
+"""Lock on Hydra's version base."""
 
 
 def load_config(*overrides: str) -> RunConfig:
@@ -35,10 +35,10 @@ def load_config(*overrides: str) -> RunConfig:
 
 
 def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
-    """The configuration that `python -m negopipe <overrides>` would run with; UserError where it would refuse them.
+    """The configuration of `python -m negopipe <overrides>`; UserError where that command would refuse them.
 
-    Hydra's public way to compose is one per process, and the user's program may have taken it with configs of its own.
-    This loads beside it: whatever Hydra holds for that program is neither used nor changed.
+    Hydra composes one program's configs per process, and these may be the user's own. This loader works beside it: the
+    state that Hydra holds for that program is neither used nor changed.
     """
     try:
         with _version_base("1.3"):
@@ -49,8 +49,8 @@ def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
 
 
 def _loader() -> ConfigLoaderImpl:
-    """Reads conf/ and Hydra's own configs. Schemas that the user's program has stored are left out: Hydra would apply
-    one that is named like a config of ours."""
+    """Loader of conf/ and of Hydra's own configs. Schemas that the user's program has stored are left out: Hydra would
+    apply one that is named like a config of negopipe."""
     Plugins.instance()  # Hydra's sources, and the configs that its plugins store
     places = ConfigSearchPathImpl()
     for provider, path in {"hydra": "pkg://hydra.conf", "main": str(CONF), "schema": "structured://"}.items():
@@ -66,7 +66,7 @@ def _loader() -> ConfigLoaderImpl:
 
 @contextmanager
 def _version_base(version: str) -> Iterator[None]:
-    """By which rules Hydra reads configs. It belongs to the process, so it is ours for a moment only."""
+    """Context in which Hydra reads configs by the rules of a version. The version belongs to the process."""
     with _alone:
         base = VersionBase.instance()
         before = base.version_base

@@ -1,11 +1,11 @@
-"""Which callables Hydra may take from a config: its plugins, and the handlers and formatters of logging.
+"""Callables that Hydra may take from a config: its plugins, and the handlers and formatters of logging.
 
-Hydra makes objects of what a YAML names: launchers and sweepers, which must be its plugins, but also callbacks and the
-parts of its logging. It refuses callables that are known to run code, not all that lead there (torch.load can be told
-to unpickle a file). negopipe has no callback and logs with the standard library.
+Hydra makes objects of the callables that a YAML names: launchers and sweepers, which must be its plugins, callbacks and
+the parts of its logging. It refuses callables that are known to run code, but not all of them (torch.load can unpickle
+a file). negopipe has no callback and logs with the standard library.
 
-Importing this is enough, and `negopipe.__main__` does: in a launcher's worker, Hydra sets up logging before it calls
-anything of ours. There is no public way; hydra-core is pinned to the version that this knows.
+The import alone installs the checks, and `negopipe.__main__` imports this: in a launcher's worker, Hydra sets up
+logging before it calls any code of negopipe. Hydra has no public interface for this, so its version is pinned.
 """
 
 from collections.abc import Iterator, Mapping
@@ -25,7 +25,7 @@ _configure_logging = logging_config.configure_logging
 
 
 class NoCallbacks(Callbacks):
-    """In the place of Hydra's own; UserError for a config that has any."""
+    """Replacement of Hydra's callbacks; UserError for a config that has any."""
 
     def __init__(self, config: DictConfig | None = None) -> None:
         named = OmegaConf.select(config, "hydra.callbacks") if config is not None else None
@@ -35,7 +35,7 @@ class NoCallbacks(Callbacks):
 
 
 def configure_declared_logging(config: dict[str, Any]) -> None:
-    """In the place of Hydra's own; UserError for a part of logging that is no class of a logging library."""
+    """Replacement of Hydra's function; UserError for a part of logging that is no class of a logging library."""
     for key, value in _leaves(config):
         text = str(value)
         if key == "()" or (key == "class" and not text.startswith(LOGGING_CLASSES)):

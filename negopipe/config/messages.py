@@ -1,7 +1,7 @@
-"""One line for every way a config can be wrong: the key, the value and what is allowed.
+"""Error messages for a wrong config: one line with the key, the value and what is allowed.
 
 Hydra refuses a command line while it composes, pydantic refuses the composed values; both end up here. This
-imports neither torch nor a component, so that a typing error is answered at once.
+imports neither torch nor a component, so that a mistyped key is answered at once.
 """
 
 import difflib
@@ -31,18 +31,18 @@ from negopipe.config.renamed import renaming, renaming_in
 from negopipe.errors import abbreviate
 
 LONGEST_LINE = 400
-"""Characters. What is longer is cut: a line that fills the terminal tells less."""
+"""Longest line, in characters. A longer one is cut."""
 
 LONGEST_HINT = 200
-"""A hint is whole or not there."""
+"""Longest hint, in characters. A longer one is left out."""
 
 _AMBIGUOUS = re.compile(r"Ambiguous value for argument '(.*?)'\n1\. ", flags=re.DOTALL)
 
 
 def as_text(override: str) -> str | None:
-    """`override` so that its value is read as the text that it is, quoted for a shell: `'outputs="a=b"'`.
+    """The override with its value in double quotes, quoted for a shell: `'outputs="a=b"'`.
 
-    None for what was meant as more than a text, a list say, and where quotes are not what is missing.
+    None where the value is more than a text, such as a list, or where quotes do not help.
     """
     key, _, text = override.partition("=")
     quoted = f"{key}={QuotedString(text, Quote.double).with_quotes()}"
@@ -56,7 +56,10 @@ def as_text(override: str) -> str | None:
 
 
 def misread(values: Any, key: str = "") -> str | None:
-    """What JSON would change or refuse without naming a key: names that are no texts, texts that are no Unicode."""
+    """Message for a value that JSON would change or refuse without its key; None where there is none.
+
+    Such values are names that are no texts and texts that are not Unicode.
+    """
     if isinstance(values, Mapping):
         odd = [name for name in values if not isinstance(name, str)]
         if odd:
@@ -77,12 +80,12 @@ _UNREADABLE = f"must be UTF-8{_READ_AS}"
 
 
 def _is_not_unicode(value: Any) -> bool:
-    """A command line that Python could not decode holds the bytes that it could not."""
+    """Whether the value is a text with bytes that Python could not decode."""
     return isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value)
 
 
 def unknown_key(key: str, allowed: Iterable[str]) -> str:
-    """`key` is a dotted path; `allowed` are the names that its last part could have."""
+    """Message for an unknown key. `key` is a dotted path; `allowed` are names that its last part may have."""
     names = sorted(allowed)
     near = difflib.get_close_matches(key.rpartition(".")[2], names, n=1)
     hint = f" did you mean {near[0]}?" if near else ""
@@ -90,7 +93,7 @@ def unknown_key(key: str, allowed: Iterable[str]) -> str:
 
 
 def explain_composition(error: Exception) -> str:
-    """What Hydra or OmegaConf found wrong while composing the config or resolving its interpolations."""
+    """Message for an error of Hydra or OmegaConf while they composed the config or resolved its interpolations."""
     return abbreviate(_explanation(error), LONGEST_LINE)
 
 
@@ -115,7 +118,7 @@ def _explanation(error: Exception) -> str:
 
 
 def _renaming(error: Exception, cause: BaseException | None) -> str | None:
-    """The line for an old name, where that is what was not found."""
+    """Message for an old name that Hydra or OmegaConf did not find."""
     if isinstance(error, MissingConfigException):
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         return renaming(f"{group}={option}")
@@ -134,7 +137,7 @@ def _unreadable(error: OverrideParseException) -> str:
 
 
 def _ambiguous(override: str) -> str:
-    """Several values where there is no sweep."""
+    """Message for several values without a sweep."""
     key, _, values = override.partition("=")
     ways = {"-m": "to sweep over them", shlex.quote(f"{key}=[{values}]"): "for a list", as_text(override): "for a text"}
     hints = ", ".join(f"{way} {purpose}" for way, purpose in ways.items() if way)
@@ -142,9 +145,9 @@ def _ambiguous(override: str) -> str:
 
 
 def explain_validation(error: ValidationError, root: type, typed: Sequence[str] = ()) -> str:
-    """All problems that pydantic found when it was to make `root` of plain mappings.
+    """Message for all problems that pydantic found in the plain mappings of a `root`.
 
-    typed: the overrides as they were given, which tell how a text was written that was read as something else
+    typed: the overrides as they were given; they show how a text was written that was read as another type
     """
     problems = (_problem(problem, root, typed) for problem in error.errors())
     return abbreviate("; ".join(dict.fromkeys(problems)), LONGEST_LINE)
@@ -166,14 +169,14 @@ def _problem(problem: Mapping[str, Any], root: type, typed: Sequence[str]) -> st
 
 
 def _how_to_quote(key: str, typed: Sequence[str]) -> str:
-    """For what is no text because of how it is written."""
+    """Hint for a text that was read as another type."""
     written = [override for override in typed if override.partition("=")[0].lstrip("+") == key]
     quoted = as_text(written[-1]) if written else None
     return f", try {quoted}" if quoted else ", which is a text in double quotes"
 
 
 def _wrong_variant(key: str, context: Mapping[str, str]) -> str:
-    """For a group of several kinds, one of whose fields says which kind it is."""
+    """Message for a group of several kinds whose field `kind` is wrong or missing."""
     names = {name: value.replace("'", "") for name, value in context.items()}
     field = f"{key}.{names['discriminator']}"
     if "tag" not in names:
@@ -182,7 +185,7 @@ def _wrong_variant(key: str, context: Mapping[str, str]) -> str:
 
 
 def _rule(problem: Mapping[str, Any]) -> str:
-    """What the value must be, in pydantic's words without its grammar."""
+    """Rule that the value breaks, in pydantic's words."""
     if problem["type"] == "literal_error":
         choices = problem["ctx"]["expected"].replace(" or ", ", ").replace("'", "")
         return f"must be one of {choices}"
@@ -195,12 +198,12 @@ def _rule(problem: Mapping[str, Any]) -> str:
 
 
 def _keys(root: type, path: list[str]) -> list[str]:
-    """The keys in pydantic's way to a value: within a group of several kinds it names the kind, which is no key."""
+    """Keys on pydantic's path to a value. Within a group of several kinds the path names the kind, which is no key."""
     return [part for depth, part in enumerate(path) if len(_schemas(_node(root, path[:depth]))) < 2]
 
 
 def _node(root: type, path: list[str]) -> Any:
-    """Type hint of what pydantic's `path` leads to from `root`; None where it leads nowhere."""
+    """Type hint at the end of pydantic's `path` from `root`; None where there is none."""
     node: Any = root
     for part in path:
         schemas = _schemas(node)
@@ -212,7 +215,7 @@ def _node(root: type, path: list[str]) -> Any:
 
 
 def _schemas(hint: Any) -> list[Any]:
-    """The dataclasses that a type hint is or allows: several where a group has several kinds."""
+    """Dataclasses that a type hint is or allows; several for a group of several kinds."""
     if is_dataclass(hint):
         return [hint]
     if get_origin(hint) in (Annotated, Union, types.UnionType):
@@ -225,5 +228,5 @@ def _is_kind(schema: Any, tag: str) -> bool:
 
 
 def _item_type(hint: Any) -> Any:
-    """What a list, tuple or dict holds."""
+    """Type hint of the items of a list, tuple or dict."""
     return next((arg for arg in reversed(get_args(hint)) if arg is not Ellipsis), None)

@@ -1,4 +1,4 @@
-"""Old names of config keys, groups, options and values, and the names that they have now."""
+"""Old names of config keys, groups, options and values, and their present names."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -21,7 +21,7 @@ options. `*` stands for any name."""
 
 
 def renaming(name: str) -> str | None:
-    """The line for an old name and for what lies below it; None for any other name."""
+    """Message for an old name or for a name below it; None for any other name."""
     for old, new in RENAMED.items():
         pattern = re.escape(old).replace(r"\*", r"(\w+)")
         found = re.fullmatch(rf"{pattern}(?:[./=].*)?", name, flags=re.DOTALL)
@@ -32,18 +32,18 @@ def renaming(name: str) -> str | None:
 
 
 def renaming_in(message: str) -> str | None:
-    """The line for an old name that an error of Hydra quotes."""
+    """Message for an old name that an error of Hydra quotes; None where it quotes none."""
     return next(filter(None, map(renaming, re.findall(r"'([^']*)'", message))), None)
 
 
 def renamings(values: Any) -> list[str]:
-    """A line for every old key and every old value in a composed config, given as plain mappings."""
+    """Messages for the old keys and old values of a composed config, given as plain mappings."""
     found = (renaming(key) or renaming(f"{key}={value}") for key, value in _entries(values))
     return list(dict.fromkeys(filter(None, found)))
 
 
 def _entries(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted keys at every depth with their values."""
+    """Dotted keys at every depth, with their values."""
     for name, value in values.items():
         key = f"{prefix}{name}"
         yield key, value

@@ -1,4 +1,4 @@
-"""RunConfig: the root schema. What Hydra composes from `conf/` becomes one typed, checked, frozen object."""
+"""RunConfig: the root schema. Hydra's composition of `conf/` becomes one typed, checked, frozen object."""
 
 import hashlib
 import json
@@ -39,7 +39,7 @@ from negopipe.tracking.store import TrackingConfig
 Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "benchmark"]
 
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
-"""<setting>/<planner>/<number>, columns of episodes.csv."""
+"""Name of an episode, `<setting>/<planner>/<number>`: three columns of episodes.csv."""
 
 WITHOUT_POLICY = {"behaviour_map", "oracle", "benchmark"}
 """Stages that drive without the run's policy."""
@@ -47,14 +47,14 @@ WITHOUT_POLICY = {"behaviour_map", "oracle", "benchmark"}
 RESULT_NEUTRAL = {
     "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "tracking",
 }  # fmt: skip
-"""Keys that `run_name` leaves out of its hash: where a run is kept, which part of it runs now, how its
-results are shown. `n_threads` is among them because threads change rounding at most; `device` and `compile`
-are not: they draw and round differently. The seed stands beside the hash, so a config's seeds share it."""
+"""Keys that `run_name` leaves out of its hash: the place of a run, the part of it that runs now, the display of its
+results. `n_threads` is among them because threads change rounding at most. `device` and `compile` are not: they draw
+and round differently. The seed stands beside the hash, so a config's seeds share it."""
 
 
 @schema
 class RunConfig:
-    """Everything a run depends on; `conf/config.yaml` says what each value means."""
+    """All values that a run depends on; `conf/config.yaml` explains them."""
 
     name: FileName
     seed: Seed
@@ -92,10 +92,10 @@ class RunConfig:
 
 
 def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
-    """Check what Hydra composed and freeze it; UserError names every key that is wrong, in one line.
+    """The checked and frozen config of Hydra's composition; UserError names every wrong key in one line.
 
     Types are strict: a text is no number and `true` is no 1.
-    typed: the overrides that it was composed with, for errors that tell how to write them
+    typed: overrides of the command line, for error messages
     """
     try:
         values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
@@ -120,7 +120,8 @@ def as_mapping(config: RunConfig) -> dict[str, Any]:
 def run_name(config: RunConfig) -> str:
     """Name of the run folder, `seed<seed>-<8 hex>`: the same for everything that gives the same result.
 
-    The group of a stage counts where that stage runs alone; among others it adds to a run, whose folder it leaves.
+    The config group of a stage counts only where that stage runs alone. Beside other stages it adds to their run, which
+    keeps its folder.
     """
     alone = set(config.stages) if len(config.stages) == 1 else set()
     others = set(get_args(Stage)) - alone
@@ -130,12 +131,12 @@ def run_name(config: RunConfig) -> str:
 
 
 MOST_BYTES = 2**34
-"""At once, for one purpose: 16 GiB, hundreds of times what the defaults need. It does not ask what this machine has, so
-that a config is valid on every machine or on none."""
+"""Largest estimate of memory for one purpose: 16 GiB, many times the need of the defaults. It does not depend on this
+machine, so that a config is valid on every machine or on none."""
 
 
 def check_components(config: RunConfig) -> None:
-    """Conditions on several values together; UserError names the first that does not hold."""
+    """Check the conditions on several values together; UserError names the first that does not hold."""
     for problem in _problems(config):
         raise UserError(f"{problem.key} must {problem.rule}, got {abbreviate(problem.value)}")
     for memory in _memory(config):
@@ -146,7 +147,7 @@ def check_components(config: RunConfig) -> None:
 
 
 def _problems(config: RunConfig) -> Iterator[Problem]:
-    """What the components say of their values."""
+    """Problems that the components find in their values."""
     scenario, evaluation, stages = config.scenario, config.evaluation, set(config.stages)
     dt_s, plan_s = scenario.dt_s, config.planner.horizon_s
     yield from config.planner.check(dt_s)
@@ -178,7 +179,7 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
 
 
 def _memory(config: RunConfig) -> Iterator[Memory]:
-    """What the components take at once."""
+    """Memory estimates of the components."""
     scenario, observation, stages = config.scenario, config.observation, set(config.stages)
     dt_s, n_vehicles, n_actions = scenario.dt_s, 1 + scenario.n_social, len(config.policy.horizons_s)
     n_chunk, n_steps, n_seen = CHUNKS["cpu"], scenario.episode_steps, observation.n_bytes
@@ -201,6 +202,6 @@ def _memory(config: RunConfig) -> Iterator[Memory]:
 
 
 def _size_at(config: RunConfig, key: str) -> str:
-    """The value at a dotted key; of a list, how many items it has."""
+    """The value at a dotted key; the number of items of a list."""
     value = attrgetter(key)(config)
     return f"{len(value)} items" if isinstance(value, list | tuple | dict) else str(value)

@@ -37,8 +37,22 @@ from negopipe.tensors.prefixes import add_prefix, strip_prefix
 
 
 @schema
-class AcktrConfig(UpdateConfig):
-    """Options of ACKTR, beside those of all algorithms.
+class NaturalGradientConfig(UpdateConfig):
+    """Options of the algorithms that follow the natural gradient, beside those of all algorithms.
+
+    kfac: quality and cost of the Fisher matrix
+    """
+
+    kfac: KfacConfig
+
+    def memory(self, layers: Sequence[LayerSize], n_observation: int) -> Iterator[Memory]:
+        yield from super().memory(layers, n_observation)
+        yield from self.kfac.memory(layers, self.n_samples)
+
+
+@schema
+class AcktrConfig(NaturalGradientConfig):
+    """Options of ACKTR, beside those of all algorithms that follow the natural gradient.
 
     The first three are values at the start of training: where steps shrink to a share, deltas shrink to its square.
 
@@ -46,7 +60,6 @@ class AcktrConfig(UpdateConfig):
     kl_clip: delta of the policy, an upper bound of an update's KL(old || new), nat
     value_kl_clip: delta of the value, in half squared standard deviations of the return
     momentum: mu
-    kfac: quality and cost of the Fisher matrix
     """
 
     kind: Literal["acktr"]
@@ -54,11 +67,6 @@ class AcktrConfig(UpdateConfig):
     kl_clip: PositiveFloat
     value_kl_clip: PositiveFloat
     momentum: Fraction
-    kfac: KfacConfig
-
-    def memory(self, layers: Sequence[LayerSize], n_observation: int) -> Iterator[Memory]:
-        yield from super().memory(layers, n_observation)
-        yield from self.kfac.memory(layers, self.n_samples)
 
 
 class Acktr:

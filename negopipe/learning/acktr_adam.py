@@ -4,36 +4,28 @@ v     = F_hat^-1 grad L
 theta <- Adam(theta, v), with the paper's rates for policy and value
 """
 
-from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from torch import Generator, Tensor
 
-from negopipe.checks import Memory
+from negopipe.learning.acktr import NaturalGradientConfig
 from negopipe.learning.adam import AdamConfig, TwoRateAdam
-from negopipe.learning.kfac import Kfac, KfacConfig, fisher_loss
-from negopipe.learning.update import Decisions, UpdateConfig, differentiate, measure_kl, policy_gradient_loss
+from negopipe.learning.kfac import Kfac, fisher_loss
+from negopipe.learning.update import Decisions, differentiate, measure_kl, policy_gradient_loss
 from negopipe.policy.actor_critic import ActorCritic
-from negopipe.policy.size import LayerSize
 from negopipe.schema import schema
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
 
 
 @schema
-class AcktrAdamConfig(UpdateConfig):
-    """Options of ACKTR with Adam, beside those of all algorithms.
+class AcktrAdamConfig(NaturalGradientConfig):
+    """Options of ACKTR with Adam, beside those of all algorithms that follow the natural gradient.
 
     adam: rates
-    kfac: quality and cost of the Fisher matrix
     """
 
     kind: Literal["acktr_adam"]
     adam: AdamConfig
-    kfac: KfacConfig
-
-    def memory(self, layers: Sequence[LayerSize], n_observation: int) -> Iterator[Memory]:
-        yield from super().memory(layers, n_observation)
-        yield from self.kfac.memory(layers, self.n_samples)
 
 
 class AcktrAdam:

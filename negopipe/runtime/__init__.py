@@ -1,1 +1,1 @@
-"""How a process runs: device, compiler, threads, workers, interruption, progress, which results are the same."""
+"""How a process runs: device, compiler, threads, workers, interruption, progress, identity of results."""

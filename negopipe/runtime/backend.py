@@ -1,4 +1,4 @@
-"""What a run computes with: device, compiled or not, how many threads. Chosen once, at the run's first start."""
+"""Device, compilation and threads of a run, chosen once at its first start."""
 
 import ctypes
 import importlib
@@ -24,14 +24,14 @@ log = logging.getLogger("negopipe")
 
 BACKEND_NAME = "backend.json"
 MAX_THREADS = 4
-"""More do not make worlds of this size faster; a machine's other cores are for other runs."""
+"""Largest number of threads that `auto` stands for. More do not make worlds of this size faster."""
 
 
 def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
-    """The config with every `auto` of device, compile and n_threads replaced by what it stands for.
+    """The config with every `auto` of device, compile and n_threads replaced by a value.
 
-    The choice is kept in `folder`, so that a run which goes on computes as it began, whatever has changed on the
-    machine: other rounding would make it another run. A value that is given counts as given.
+    The choice is kept in `folder`, so that a resumed run computes as it began, whatever has changed on the machine:
+    other rounding would make it another run. A value other than `auto` stays.
     """
     kept = kept_choices(folder)
     chosen = kept or _choose()
@@ -47,23 +47,24 @@ def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
     how = "compiled (the first step takes up to a minute)" if settled.compile == "on" else "not compiled"
     since = ", as when the run began" if kept else ""
     log.info(f"backend    {settled.device}, {settled.n_threads} threads, simulator {how}{since}")
+    _warn_of_threads(int(settled.n_threads))
     return settled
 
 
 def kept_choices(folder: Path) -> dict[str, Any]:
-    """What the run in `folder` has chosen so far, by key; empty at its first start."""
+    """Choices of the run in `folder` by key; empty at its first start."""
     path = folder / BACKEND_NAME
     return json.loads(path.read_text()) if path.exists() else {}
 
 
 def keep_choices(folder: Path, choices: dict[str, Any]) -> None:
-    """Keep these beside what is kept already."""
+    """Add choices to those that the run in `folder` keeps."""
     content = json.dumps(kept_choices(folder) | choices, indent=2) + "\n"
     write_whole(folder / BACKEND_NAME, content.encode())
 
 
 def prepare(config: "RunConfig") -> None:
-    """Set torch up for a settled config."""
+    """Set up torch for a config without `auto`."""
     torch.set_num_threads(int(config.n_threads))
     keep_freed_memory()
     if config.compile == "on":
@@ -75,8 +76,10 @@ def prepare(config: "RunConfig") -> None:
 
 
 def _set_up_compiler() -> None:
-    """Make room, since a sweep's jobs share a process and each compiles its own scenario; and compile in the thread
-    that asks, since a forked process would wait for ever for threads that only its parent has.
+    """Clear compiled code and compile in the calling thread from now on.
+
+    The jobs of a sweep share a process, and each compiles its own scenario. A forked process would wait for ever for
+    compiler threads that only its parent has.
     """
     dynamo = importlib.import_module("torch._dynamo")  # takes seconds, which only a compiled run should wait for
     dynamo.reset()
@@ -85,9 +88,9 @@ def _set_up_compiler() -> None:
 
 
 def keep_freed_memory() -> None:
-    """Let glibc keep large blocks that are freed, instead of handing them back and fetching them zeroed again.
+    """Let glibc keep large freed blocks instead of returning them to the system.
 
-    Without this, every tensor of some 100 kB costs its page faults anew: four times the whole of an eager plan.
+    Otherwise every tensor of some 100 kB has its page faults anew, and an eager plan takes four times as long.
     """
     if sys.platform != "linux":
         return
@@ -102,8 +105,21 @@ def _choose() -> dict[str, Any]:
     return {
         "device": "cuda" if torch.cuda.is_available() else "cpu",
         "compile": "on" if has_compiler() else "off",
-        "n_threads": min(MAX_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1),
+        "n_threads": min(MAX_THREADS, _n_cores() or 1),
     }
+
+
+def _n_cores() -> int | None:
+    """Number of cores that this process may use; None where the system does not tell."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
+
+
+def _warn_of_threads(n_threads: int) -> None:
+    """Log a warning where threads must share cores. It is no error: a run may be resumed on a smaller machine."""
+    n_cores = _n_cores()
+    if n_cores is not None and n_threads > n_cores:
+        rule = f"n_threads should be at most {n_cores}, the cores of this process, got {n_threads}"
+        log.warning(f"backend    {rule}: threads that wait for each other make training many times slower")
 
 
 def _check(config: "RunConfig") -> None:

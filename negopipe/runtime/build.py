@@ -1,4 +1,4 @@
-"""The game, the policy and the device that a config describes; policies saved and loaded."""
+"""The game, the policy and the device of a config; saving and loading of policies."""
 
 import logging
 from dataclasses import asdict
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 RESULT_NEUTRAL_KEYS = ("precision", "memory_format")
-"""Keys of a policy in which a checkpoint may differ: its weights are the same whatever they are computed with."""
+"""Keys of the policy in which a checkpoint may differ from a config: the weights do not depend on them."""
 
 
 def device_of(config: "RunConfig") -> torch.device:
@@ -35,10 +35,11 @@ def device_of(config: "RunConfig") -> torch.device:
 
 
 _built: dict[str, Game] = {}
+"""The latest game, by its config."""
 
 
 def game_of(config: "RunConfig") -> Game:
-    """The game. Stages that follow each other share it: to compile it takes longer than to draw a report.
+    """The game of a config. Successive stages share it, since its compilation takes longer than a report.
 
     Checkpoints drive the social vehicles that the population gives them; no policy is there for the kind `self`.
     """
@@ -70,7 +71,7 @@ def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
 
 
 def save_policy(path: Path, policy: ActorCritic, config: "RunConfig", n_decisions: int) -> None:
-    """A checkpoint with all that is needed to know and rebuild the policy."""
+    """Save a checkpoint with the weights and a description of the policy."""
     metadata = {
         "policy": asdict(config.policy),
         "observation": asdict(config.observation),
@@ -83,7 +84,7 @@ def save_policy(path: Path, policy: ActorCritic, config: "RunConfig", n_decision
 
 @own_settings()
 def load_policy(source: str | Path = "pretrained/mixture", config: "RunConfig | None" = None) -> GridPolicy:
-    """The policy of a checkpoint, in eval mode on the CPU, its network as the checkpoint describes it.
+    """The policy of a checkpoint, in eval mode on the CPU, with the network that the checkpoint describes.
 
         policy = negopipe.load_policy("pretrained/yield")
         action = policy.act(grids)
@@ -109,14 +110,14 @@ def load_policy(source: str | Path = "pretrained/mixture", config: "RunConfig | 
 
 
 def load_weights(path: Path, policy: ActorCritic, config: "RunConfig") -> None:
-    """Put a checkpoint's weights into `policy`; UserError if it was made for another network or other grids."""
+    """Load a checkpoint's weights into `policy`; UserError if it was made for another network or other grids."""
     tensors, metadata = load_checkpoint(path)
     _check_match(path, metadata, config)
     _fill(path, tensors, policy)
 
 
 def _described(path: Path, metadata: dict[str, Any]) -> tuple[PolicyConfig, ObservationConfig]:
-    """The network and the grids that a checkpoint was made with; the arithmetic is left to the machine at hand."""
+    """The network and the grids that a checkpoint was made with; precision and memory format are `auto`."""
     try:
         made_with = metadata.get("policy", {}) | dict.fromkeys(RESULT_NEUTRAL_KEYS, "auto")
         observation = TypeAdapter(ObservationConfig).validate_python(metadata.get("observation", {}))
@@ -138,13 +139,13 @@ def _check_match(path: Path, metadata: dict[str, Any], config: "RunConfig") -> N
 def _fill(path: Path, tensors: dict[str, Tensor], policy: ActorCritic) -> None:
     try:
         policy.load_state_dict(tensors)
-    except RuntimeError as error:  # its metadata says otherwise
+    except RuntimeError as error:  # the weights do not match the metadata
         reason = " ".join(str(error).split())[:200]
         raise UserError(f"checkpoint must hold the weights of this network, got {path}: {reason}") from error
 
 
 def _plain(value: Any) -> Any:
-    """The value as JSON gives it back: tuples become lists."""
+    """The value as JSON returns it: tuples become lists."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, tuple | list) else value

@@ -1,4 +1,4 @@
-"""Which results are the same: hashes of the config that a stage depends on, and of the code."""
+"""Identity of results: hashes of the config that a stage depends on, and of the code."""
 
 import hashlib
 import json
@@ -33,32 +33,33 @@ DEPENDS_ON = {
     "oracle": (*_GAME, "evaluation", "oracle"),
     "benchmark": (*_TRAINING, "n_threads", "evaluation", "benchmark", "tracking"),
 }
-"""Groups of the config that a stage's result depends on, those of the stages that it builds on included."""
+"""Groups of the config that a stage's result depends on, including those of the stages that it builds on."""
 
 STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report", "replay")
-"""... and of a checkpoint, if one is named: evaluated is what was trained from it or, without training, itself."""
+"""Stages whose result also depends on `checkpoint`, the start of the training or, without training, the policy."""
 
 NEED_THE_ORACLE = ("evaluate", "report", "replay")
-"""Of an oracle.csv, if one is named, its content counts."""
+"""Stages whose result also depends on the content of `evaluation.oracle`."""
 
 MAPPED = "behaviour_map"
-"""A stage whose figure the report shows where it ran before."""
+"""Stage whose figure the report shows."""
 NOT_TRAINED_ON = ("families",)
-"""Of the scenario: training draws from the curriculum's families."""
+"""Keys of the scenario that training does not depend on: it draws from the curriculum's families."""
 WITHOUT_NETWORK = ("behaviour_map", "oracle")
+"""Stages that build no network."""
 ONLY_COMPUTED_WITH = ("precision",)
-"""Of the policy: nothing to stages that build no network."""
+"""Keys of the policy that stages without a network do not depend on."""
 ONLY_ROUNDED_BY = ("memory_format",)
-"""Of the policy: it orders sums, as threads do. A run settles it by a timing, which may end otherwise in another run
-of the same config; what that has trained is taken over all the same."""
+"""Keys of the policy that only change the order of sums, as threads do. Another run of the same config may resolve them
+otherwise by its timing, and its training is taken over all the same."""
 ONLY_SHOWN = ("leading_setting",)
-"""Of the evaluation: what comes first in the report."""
+"""Keys of the evaluation that only change the order of the report."""
 ONLY_NAMES = ("experiment", "registered_model")
-"""Of tracking, whose cost the benchmark measures."""
+"""Keys of tracking that do not change its cost, which the benchmark measures."""
 
 
 def stage_key(config: RunConfig, stage: str) -> str:
-    """Hash of all in a settled config that the result of `stage` depends on, a checkpoint's content included."""
+    """Hash of all that the result of `stage` depends on, with a checkpoint's content, in a config without `auto`."""
     values = as_mapping(config)
     relevant: dict[str, Any] = {group: values[group] for group in DEPENDS_ON[stage]}
     if stage == "train":
@@ -84,7 +85,7 @@ def stage_key(config: RunConfig, stage: str) -> str:
 
 @cache
 def source_hash() -> str:
-    """Hash of the package's code as it is now; taken once per process, whose code does not change any more."""
+    """Hash of the package's code, computed once per process, when all code is loaded."""
     package = Path(negopipe.__file__).parent
     total = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):

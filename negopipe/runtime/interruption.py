@@ -1,17 +1,17 @@
-"""Stopping long work where nothing is lost: between two steps, not in the middle of one."""
+"""Interruption of long work between two steps, where nothing is lost."""
 
 import signal
 import threading
 from types import FrameType, TracebackType
 
 PATIENCE_S = 5
-"""After so long a step is broken off; what is lost is the work since the last snapshot."""
+"""Longest wait for the end of a step, s. A longer step is broken off, and the work since the last snapshot is lost."""
 
 
 class DeferredInterrupt:
-    """Context manager that holds back Ctrl-C and SIGTERM until the step that runs is over, `PATIENCE_S` at most.
+    """Context manager that defers Ctrl-C and SIGTERM to the end of the running step, by `PATIENCE_S` at most.
 
-    Call it to know whether somebody has asked; `raise_if_requested` then raises what the signal would have raised. A
+    A call of the object returns whether a signal has come. `raise_if_requested` then raises the signal's exception. A
     second signal acts at once.
     """
 
@@ -23,7 +23,7 @@ class DeferredInterrupt:
         return self._asked is not None
 
     def raise_if_requested(self) -> None:
-        """Raise KeyboardInterrupt or SystemExit(128 + signal) if asked to stop."""
+        """Raise KeyboardInterrupt or SystemExit(128 + signal) if a signal has come."""
         if self._asked == signal.SIGINT:
             raise KeyboardInterrupt
         if self._asked is not None:

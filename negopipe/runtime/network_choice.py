@@ -1,4 +1,4 @@
-"""What a run's network computes with: precision and memory format. Chosen once, by a timing at its first start."""
+"""Precision and memory format of a run's network, chosen once by a timing at its first start."""
 
 import logging
 import time
@@ -22,37 +22,40 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 STAGES = {"train", "evaluate", "benchmark"}
-"""Those that build a network; the others do not wait for a timing."""
+"""Stages that build a network; the others need no timing."""
 
 PREFERRED = {"precision": ("float32", "bfloat16"), "memory_format": ("channels_last", "channels_first")}
-"""Keys of the policy, and what `auto` may stand for: the first, unless the second is `GAIN` times as fast."""
+"""Values that `auto` may stand for, by key of the policy: the first, unless the second is `GAIN` times as fast."""
 GAIN = 1.05
-"""Fewer digits must pay, and what is as good as equal must not fall to chance: runs of one config would differ."""
+"""Smallest ratio of speeds that decides. With a smaller one, runs of one config would differ by chance."""
 
 N_ROUNDS, ENOUGH_S = 5, 1.5
-"""Each variant is timed so often at most; once so long has been spent, no other round begins."""
+"""Largest number of rounds of a timing, and the time after which no further round begins, s."""
 
 N_GRIDS = 128
-"""On a processor so many of a minibatch are timed at most: per grid, variants compare as in larger batches."""
+"""Largest number of grids that are timed on a CPU: the ratio of the variants is that of larger batches."""
 
 HOPELESS = 4.0
-"""A variant that takes so many times as long as the fastest to warm up is not timed: a processor without bfloat16
-takes seconds for every pass."""
+"""Ratio of warm-up times, to the fastest, above which a variant is not timed: a processor without bfloat16 takes
+seconds for every pass."""
 
 
 class Variant(NamedTuple):
+    """A precision and a memory format of the network."""
+
     precision: str
     memory_format: str
 
 
 Seconds = dict[Variant, float]
+"""Time of a pass by variant, s."""
 
 
 def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
-    """The config with every `auto` of policy.precision and policy.memory_format replaced by what is faster here.
+    """The config with every `auto` of policy.precision and policy.memory_format replaced by the faster value.
 
-    Torch must have been prepared for the config (`backend.prepare`), whose device and threads the timing takes. The
-    choice is kept beside the backend's in `folder`, for a run that goes on; a value that is given counts as given.
+    Torch must have been prepared for the config (`backend.prepare`): the timing uses its device and threads. The choice
+    is kept beside the backend's in `folder`, for a resumed run. A value other than `auto` stays.
     """
     autos = [key for key in PREFERRED if getattr(config.policy, key) == "auto"]
     kept = {key: value for key, value in kept_choices(folder).items() if key in autos}
@@ -71,16 +74,16 @@ def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
 
 
 def variants(policy: PolicyConfig) -> list[Variant]:
-    """All that the policy's config leaves open, the preferred ones first."""
+    """Variants that the policy's config leaves open, the preferred ones first."""
     given = {key: getattr(policy, key) for key in PREFERRED}
     values = [among if given[key] == "auto" else (given[key],) for key, among in PREFERRED.items()]
     return [Variant(*pair) for pair in product(*values)]
 
 
 def time_variants(config: "RunConfig", among: Iterable[Variant]) -> Seconds:
-    """Forward and backward of a minibatch, the shortest of a few times, s; without those that are hopeless.
+    """Shortest time of a forward and backward pass of a minibatch, s, by variant, without the hopeless variants.
 
-    Taken in turns, so that a slow moment of the machine hits all alike.
+    The variants take turns, so that a slow moment of the machine affects all alike.
     """
     device, seen = device_of(config), config.observation
     shape = (seen.n_frames, seen.n_cells, seen.n_cells)
@@ -102,7 +105,7 @@ def time_variants(config: "RunConfig", among: Iterable[Variant]) -> Seconds:
 
 
 def fastest(seconds: Seconds) -> Variant:
-    """Of each precision the faster memory format, and of these the faster precision; see `PREFERRED`."""
+    """The faster of the precisions, each with its faster memory format, by the rule of `PREFERRED`."""
     precisions = dict.fromkeys(variant.precision for variant in seconds)
     winners = [_leader(seconds, [v for v in seconds if v.precision == name]) for name in precisions]
     return _leader(seconds, winners)
@@ -118,11 +121,11 @@ def _n_timed(config: "RunConfig") -> int:
 
 
 def _comparison(seconds: Seconds, chosen: Variant) -> str:
-    """The time of the choice, and that of the best of the other precision, or else of the other memory format."""
+    """Time of the choice, beside the best time of the other precision or, without one, of the other memory format."""
     said = f"{1e3 * seconds[chosen]:.3g} ms"
     others = [v for v in seconds if v.precision != chosen.precision] or [v for v in seconds if v != chosen]
     if not others:
-        return f"{said}; all else takes many times as long"
+        return f"{said}; the others take many times as long"
     baseline = min(others, key=lambda variant: seconds[variant])
     name = baseline.memory_format if baseline.precision == chosen.precision else baseline.precision
     return f"{said}; {name} {1e3 * seconds[baseline]:.3g} ms"

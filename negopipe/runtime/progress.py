@@ -1,4 +1,4 @@
-"""Progress of long work: a live bar on a terminal, a line now and then elsewhere."""
+"""Progress of long work: a live bar on a terminal, a line at intervals elsewhere."""
 
 import time
 from types import TracebackType
@@ -7,12 +7,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 LINE_INTERVAL_S = 20.0
+"""Time between two lines in a log file, s."""
 
 
 class ProgressLine:
-    """Context manager; `advance` after each step of `n_total`, of which `n_done` were done before.
+    """Context manager that shows the progress of `n_total` steps, of which `n_done` were done before.
 
-    On a terminal a bar with the latest text and the time left; in a log file one such line every 20 s.
+    On a terminal it is a bar with the latest text and the time left, in a log file a line of these every 20 s.
     """
 
     def __init__(self, title: str, n_total: int, n_done: int = 0) -> None:
@@ -33,7 +34,7 @@ class ProgressLine:
         self._started_s = self._said_s = time.monotonic()
 
     def advance(self, text: str, n: int = 1) -> None:
-        """`n` more steps are done; `text` says how it goes."""
+        """Count `n` more steps and show `text` beside the bar."""
         self.n_done += n
         self._bar.update(self._task, advance=n, text=text)
         now_s = time.monotonic()

@@ -1,7 +1,7 @@
 """Independent jobs side by side, in processes of one thread each.
 
-What simulates has tensors too small to gain from threads, and a machine with many cores gains nothing from a driver
-that uses one. The processes are forked, so they have all that the jobs refer to, the compiled game too.
+Tensors of the simulation are too small to gain from threads, so the cores of a machine are used by processes. They are
+forked and share all objects of the jobs, among them the compiled game.
 """
 
 import os
@@ -21,24 +21,22 @@ from negopipe.tensors.torch_settings import one_thread
 T = TypeVar("T")
 
 LOOK_S = 1.0
-"""How often a process looks whether the one that it works for is still there."""
+"""Time between two checks of a worker that its parent is alive, s."""
 
 _inherited: Sequence[Callable[[], Any]] = ()
-"""The jobs, in a process that does them: a fork has them without anything being sent."""
+"""Jobs of a worker, inherited by the fork."""
 
 
 def n_processes(device: str, n_threads: int) -> int:
-    """How many may work side by side: as many as the run has threads, but one where a GPU does the work, and where
-    processes cannot be forked.
-    """
+    """Number of worker processes: the run's threads, but one on a GPU and where processes cannot be forked."""
     return n_threads if device == "cpu" and sys.platform == "linux" else 1
 
 
 def side_by_side(jobs: Sequence[Callable[[], T]], n: int, on_done: Callable[[int], None]) -> list[T]:
-    """What the jobs return, in their order; `on_done` is told the index of each that is finished.
+    """Results of the jobs in their order; `on_done` is called with the index of each finished job.
 
-    n: processes; with 1 all is done here, in one thread as well, so that results do not depend on it
-    Raises what a job raises, the others are given up then. A process that is killed makes BrokenProcessPool.
+    n: number of processes; with 1 the jobs run in this process, in one thread too, so that results do not depend on n
+    Raises the error of a job and cancels the others. A killed process raises BrokenProcessPool.
     """
     if min(n, len(jobs)) <= 1:
         return _one_by_one(jobs, on_done)
@@ -67,7 +65,7 @@ def _one_by_one(jobs: Sequence[Callable[[], T]], on_done: Callable[[int], None])
 
 
 def _begin(jobs: Sequence[Callable[[], Any]], parent: int) -> None:
-    """Of a process that works: Ctrl-C is the parent's matter, and without a parent there is nobody to work for."""
+    """Set a worker up: it ignores Ctrl-C, which the parent handles, and ends with its parent."""
     global _inherited
     _inherited = jobs
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -77,6 +75,7 @@ def _begin(jobs: Sequence[Callable[[], Any]], parent: int) -> None:
 
 
 def _end_with(parent: int) -> None:
+    """End this process once its parent has ended."""
     while os.getppid() == parent:
         time.sleep(LOOK_S)
     os._exit(1)

@@ -1,4 +1,4 @@
-"""What a run leaves behind: its folder, its record in the MLflow store, its checkpoints."""
+"""Records of a run: its folder, its entry in the MLflow store, its checkpoints."""
 
 from negopipe import environment
 

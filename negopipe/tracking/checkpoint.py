@@ -26,17 +26,17 @@ _RUN_ID = re.compile(r"[0-9a-f]{32}")
 
 
 def save_checkpoint(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
-    """Write a checkpoint whole or not at all: a killed process leaves the file that was there before.
+    """Write a checkpoint whole or not at all: a killed process leaves the earlier file.
 
     tensors: any shape, dtype and device; stored on the CPU
-    metadata: what JSON can say (counters, the config, names)
+    metadata: JSON values (counters, the config, names)
     """
     on_cpu = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}
     write_whole(path, save(on_cpu, {_METADATA_KEY: json.dumps(metadata)}))
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors (on the CPU) and metadata; UserError if the file is missing, cut short or not of negopipe."""
+    """Tensors (on the CPU) and metadata of a checkpoint; UserError if the file is missing, cut short or another's."""
     if not path.is_file():
         raise UserError(f"checkpoint must be a file, got {path}: no such file")
     try:
@@ -51,8 +51,11 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def find_checkpoint(reference: str, config: StoreConfig) -> Path:
-    """The file that `checkpoint` means: a path, a policy that comes with negopipe (`negopipe.tracking.pretrained`), or
-    the id of an MLflow run, of which it is the newest one."""
+    """File of the checkpoint that `reference` names; UserError where there is none.
+
+    reference: a path, a policy that comes with negopipe (`negopipe.tracking.pretrained`), or the id of an MLflow run,
+        whose newest checkpoint it is
+    """
     path = find_pretrained(reference, config.name) or Path(reference)
     if path.is_file():
         return path

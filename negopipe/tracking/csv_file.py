@@ -1,7 +1,7 @@
-"""Tables as CSV files: one way to write them and one to read them, by what the kind of file says of its columns.
+"""Tables as CSV files, written and read by the column types of a kind of file.
 
-No type is guessed, so a name such as `NA`, `nan` or `12` comes back as the text that it was. An empty cell is the empty
-text in a column of texts and NaN in one of numbers; whole numbers are never missing.
+No type is guessed, so a name such as `NA`, `nan` or `12` remains a text. An empty cell is the empty text in a column of
+texts and NaN in a column of numbers; whole numbers are never missing.
 """
 
 import csv
@@ -18,17 +18,18 @@ from negopipe.errors import UserError
 from negopipe.tracking.whole_file import write_whole
 
 LONGEST_CELL = 2**30
-"""Characters: an hour of horizons is longer than what Python's csv allows by default."""
+"""Longest cell that is read, in characters: the horizons of an hour exceed the default limit of Python's csv."""
 EXPECTED = {int: "whole numbers", float: "numbers"}
+"""Name of a column type in errors."""
 
 
 @dataclass(frozen=True)
 class CsvKind:
-    """What a kind of file holds.
+    """A kind of CSV file: its writer and its columns.
 
-    made_by: who writes it, as errors tell it
-    columns: name of each column that there may be, or a pattern with `*` -> str, float or int; the first match counts
-    float_format: how numbers are written, as printf says it; None = so that they are read back as they were
+    made_by: the writer, for errors
+    columns: name of each allowed column, or a pattern with `*` -> str, float or int; the first match counts
+    float_format: printf format of the numbers; None = all digits, so that the same numbers are read back
     """
 
     made_by: str
@@ -37,11 +38,11 @@ class CsvKind:
 
     @property
     def texts(self) -> "CsvKind":
-        """The same files, every cell as it is written."""
+        """The same kind of file with all columns read as texts."""
         return replace(self, columns={"*": str})
 
     def type_of(self, column: str) -> type | None:
-        """None of a column that this kind does not have."""
+        """Type of a column; None where this kind has no such column."""
         return next((type_ for pattern, type_ in self.columns.items() if fnmatchcase(column, pattern)), None)
 
 
@@ -53,9 +54,9 @@ def write_csv(path: Path, table: pd.DataFrame, kind: CsvKind) -> None:
 def read_csv(path: Path, kind: CsvKind, needs: Iterable[str] = ()) -> pd.DataFrame:
     """The table of a file; columns that the kind does not have are left out.
 
-    needs: columns that must be there
+    needs: columns that the file must have
 
-    Raises UserError, which names file and column and what is expected, where the file cannot be read so.
+    Raises UserError with the file, the column and what is expected, where the file is not of this kind.
     """
     if not path.is_file():
         raise UserError(f"{path}: no such file; {kind.made_by} writes it")
@@ -67,7 +68,7 @@ def read_csv(path: Path, kind: CsvKind, needs: Iterable[str] = ()) -> pd.DataFra
 
 
 def csv_text(table: pd.DataFrame, kind: CsvKind) -> str:
-    """What `write_csv` writes."""
+    """Text that `write_csv` writes."""
     unknown = [column for column in table if kind.type_of(str(column)) is None]
     if unknown:
         raise ValueError(f"a table that {kind.made_by} writes has no column {unknown[0]}: add it to its CsvKind")
@@ -75,7 +76,7 @@ def csv_text(table: pd.DataFrame, kind: CsvKind) -> str:
 
 
 def parse_csv(text: str, kind: CsvKind, needs: Iterable[str] = (), name: str = "the table") -> pd.DataFrame:
-    """What `read_csv` reads; `name` stands for the file in errors."""
+    """Table of a CSV text, as `read_csv` returns it; `name` stands for the file in errors."""
     header, rows = _cells(text, kind, name)
     for column in needs:
         if column not in header:
@@ -86,7 +87,7 @@ def parse_csv(text: str, kind: CsvKind, needs: Iterable[str] = (), name: str = "
 
 
 def _cells(text: str, kind: CsvKind, name: str) -> tuple[list[str], list[list[str]]]:
-    """The header and the rows, all as long as it is."""
+    """The header and the rows, all of the header's length."""
     csv.field_size_limit(LONGEST_CELL)
     expected = f"must be a table as {kind.made_by} writes it"
     try:

@@ -1,4 +1,4 @@
-"""`make ui`: MLflow's dashboard, on this machine only, of an outputs folder or of a database at an address.
+"""`make ui`: MLflow's dashboard of an outputs folder or of a database at an address, on this machine only.
 
 `python -m negopipe.tracking.dashboard <outputs or sqlite:///file> [<port>]`
 """
@@ -16,26 +16,26 @@ from negopipe.tracking.sqlite import address, open_read_only
 from negopipe.tracking.sync.saved_view import TAG, VIEW
 
 CHARTS = "#/experiments/{}/runs?workflowType=machine_learning&compareRunsMode=CHART"
-"""The page of an experiment that opens on the charts of all its runs; MLflow's start page is another one."""
+"""Address of the page of an experiment with the charts of all its runs, behind that of the server."""
 COMPARISON = f"&viewStateShareKey={VIEW}"
-"""... with the saved view that compares them first."""
+"""Addition to the address of the charts, for the saved view that compares the runs."""
 PORT = 5000
-"""Of the dashboard, as the Makefile has it."""
+"""Default port of the dashboard, as in the Makefile."""
 OUTPUTS = "outputs"
-"""The folder that `make ui` shows, as the Makefile has it."""
+"""Folder that `make ui` shows, as in the Makefile."""
 
 
 def chart_address(experiment_id: str, uri: str | None = None, port: int = PORT, has_view: bool = False) -> str:
-    """Where the charts of an experiment are: on the server of the store, if it has one, else on that of `make ui`.
+    """Address of an experiment's charts: on the server of the store, if it has one, else on that of `make ui`.
 
-    has_view: the experiment has the saved view that compares its runs
+    has_view: whether the experiment has the saved view that compares its runs
     """
     server = (uri or "").rstrip("/") if is_served(uri) else f"http://127.0.0.1:{port}"
     return f"{server}/{CHARTS.format(experiment_id)}{COMPARISON if has_view else ''}"
 
 
 def command_for(outputs: Path, uri: str | None) -> str | None:
-    """The command that shows a store's dashboard; None where the store has a server, which shows it."""
+    """Command for the dashboard of a store; None where the store has a server, which shows its own."""
     if is_served(uri):
         return None
     if uri is None and outputs.absolute() == Path(OUTPUTS).absolute() and Path("Makefile").is_file():
@@ -57,7 +57,7 @@ def chart_addresses(database: Path, port: int) -> dict[str, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Print where the charts are, then become the server; 1 after a line that says what is wrong."""
+    """Print the addresses of the charts, then become the server; 1 after an error line."""
     if not 1 <= len(arguments) <= 2 or arguments[0] in ("-h", "--help"):
         print(__doc__)
         return 0 if arguments in (["-h"], ["--help"]) else 2
@@ -75,7 +75,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _store(place: str) -> Path | str:
-    """The SQLite file of an outputs folder or at an address, whose artifacts are found; else the address."""
+    """SQLite file of an outputs folder or at an address, with its artifact locations updated; else the address."""
     uri = place if "://" in place else None
     if is_served(uri):
         raise UserError(f"the store must be a folder or a database, got {place}: a server shows itself, open it there")
@@ -100,7 +100,7 @@ def _port(text: str) -> int:
 
 
 def _serve(uri: str, port: int) -> None:
-    os.environ["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] = "false"  # schedulers for traces, of which there are none
+    os.environ["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] = "false"  # its schedulers are for traces, and negopipe has none
     place = ["--host", "127.0.0.1", "--port", str(port)]
     quiet = ["--workers", "1", "--uvicorn-opts", "--log-level warning"]
     os.execv(sys.executable, [sys.executable, "-m", "mlflow", "server", *place, "--backend-store-uri", uri, *quiet])

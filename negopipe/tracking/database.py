@@ -1,4 +1,4 @@
-"""The store that MLflow keeps: made once, opened by one process at a time, found again after a move."""
+"""The MLflow store: created once, opened by one process at a time, usable after a move."""
 
 import logging
 import os
@@ -29,21 +29,21 @@ _LOCATIONS = (
 """Columns of MLflow's database that hold artifact locations."""
 
 _IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "5"}
-"""MLflow would wait for a server for minutes. Here what cannot be sent stays in the journal and is sent later."""
+"""Settings with which MLflow does not wait for a server: entries that cannot be sent stay in the journal."""
 _URI_KEY = "tracking.uri"
 _CHECKED_BYTES = 100_000_000
-"""Larger databases are not read through at a start: it would take seconds."""
+"""Largest database that is checked as a whole at a start. A larger one would take seconds."""
 
 
 def database_path(outputs: Path) -> Path:
-    """The SQLite file of an outputs folder; it need not exist."""
+    """SQLite file of an outputs folder; it need not exist."""
     return outputs.absolute() / "mlflow" / "mlflow.db"
 
 
 def sqlite_file(outputs: Path, uri: str | None) -> Path | None:
-    """The SQLite file of the store at `uri`, None = the one of `outputs`; None for any other database and for a server.
+    """SQLite file of the store at `uri`, None = that of `outputs`; None for another database and for a server.
 
-    Nothing is made. Raises UserError where there can be no such file.
+    Nothing is created. Raises UserError where no such file is possible.
     """
     if uri is None:
         database = database_path(outputs)
@@ -59,8 +59,10 @@ def sqlite_file(outputs: Path, uri: str | None) -> Path | None:
 
 
 def artifact_location(outputs: Path, uri: str | None) -> str | None:
-    """Where new experiments of a store keep their artifacts: beside its SQLite file, so that both can be moved
-    together; None where a server knows; else in `outputs`."""
+    """Place of the artifacts of a store's new experiments; None where a server chooses it.
+
+    It is beside the SQLite file, so that both can be moved together, and in `outputs` for any other database.
+    """
     if is_served(uri):
         return None
     database = sqlite_file(outputs, uri)
@@ -70,22 +72,22 @@ def artifact_location(outputs: Path, uri: str | None) -> str | None:
 
 
 def store_lock(outputs: Path) -> FileLock:
-    """To be held while a process opens the store."""
+    """Lock that a process holds while it opens the store."""
     folder = database_path(outputs).parent
     folder.mkdir(parents=True, exist_ok=True)
     return FileLock(folder / "store.lock")
 
 
 def is_served(uri: str | None) -> bool:
-    """The store at `uri` is a server's, which knows where to keep artifacts."""
+    """Whether the store at `uri` is a server's, which chooses the place of artifacts."""
     return (uri or "").startswith(("http:", "https:"))
 
 
 def connect(outputs: Path, uri: str | None) -> "MlflowClient":
-    """A client of the store at `uri`, None = the database of `outputs`, which is made if need be.
+    """Client of the store at `uri`, None = the database of `outputs`, which is created if need be.
 
-    A server is not asked yet whether it is there. Hold `store_lock`. Raises UserError if MLflow cannot open `uri`,
-    and OSError if it is a database that is out of reach for now.
+    A server is not contacted yet. The caller holds `store_lock`. Raises UserError if MLflow cannot open `uri`, and
+    OSError if it is a database that is out of reach.
     """
     database = sqlite_file(outputs, uri)
     if uri is None and database is not None:
@@ -105,14 +107,14 @@ def _open(uri: str) -> "MlflowClient":
 
 @contextmanager
 def _explained(uri: str) -> Iterator[None]:
-    """What MLflow and its database libraries raise about an address, as `connect` does."""
+    """Context in which errors of MLflow and its database libraries become those of `connect`."""
     _be_impatient()
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
     try:
         yield
-    except (MlflowException, ArgumentError, ImportError, ValueError) as error:  # no such kind, driver or setting
+    except (MlflowException, ArgumentError, ImportError, ValueError) as error:  # an unknown kind, driver or setting
         place = f"{_URI_KEY} must be a store that MLflow can open, got {without_password(uri)}"
         raise UserError(f"{place}: {first_line(error)}") from error
     except SQLAlchemyError as error:
@@ -120,7 +122,7 @@ def _explained(uri: str) -> Iterator[None]:
 
 
 def _be_impatient() -> None:
-    """Let MLflow report at once that a server or a database is out of reach; UserError for a setting that is none."""
+    """Let MLflow report at once that a server or a database is out of reach; UserError for an invalid setting."""
     for name, value in _IMPATIENT.items():
         default(name, value)
         if not (variable(name) or "").isdecimal():
@@ -129,13 +131,13 @@ def _be_impatient() -> None:
             )
     from mlflow.store.db import utils
 
-    utils.MAX_RETRY_COUNT = 1  # there is no setting; with 10 it tries for 100 s
+    utils.MAX_RETRY_COUNT = 1  # it has no setting; 10 tries take 100 s
     for logger in ("mlflow", "alembic"):
         logging.getLogger(logger).setLevel(logging.WARNING)
 
 
 def unreachable() -> tuple[type[Exception], ...]:
-    """What is raised where a store or its server is gone for a while."""
+    """Exceptions of a store or a server that is out of reach."""
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -143,18 +145,20 @@ def unreachable() -> tuple[type[Exception], ...]:
 
 
 def without_password(uri: str) -> str:
-    """An address as a line may show it."""
+    """An address for a log line or an error: without its password, and cut where it is long."""
     return abbreviate(re.sub(r"(://[^/@:]*):[^/@]*@", r"\1:***@", uri))
 
 
 def first_line(error: Exception) -> str:
-    """What a line may say of an error, whose text may be long, have many lines or none."""
+    """First line of an error's text, at most 200 characters; the name of its type where the text is empty."""
     return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
 def _set_tracking_uri(uri: str) -> None:
-    """For the model registry, which asks for it behind the client's back; the environment stays as it was, since
-    the next run of this process may have another store."""
+    """Set the address for MLflow's model registry, which takes it from a global of the process.
+
+    The environment variable is restored, since the next run of this process may have another store.
+    """
     from mlflow.tracking import set_tracking_uri
 
     before = os.environ.get("MLFLOW_TRACKING_URI")
@@ -173,7 +177,7 @@ def _check(database: Path) -> None:
             is_quick = database.stat().st_size <= _CHECKED_BYTES
             (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone() if is_quick else ("ok",)
     except sqlite3.OperationalError as error:
-        if "no such table" not in str(error):  # not damaged but out of reach
+        if "no such table" not in str(error):  # it is out of reach, not damaged
             raise OSError(str(error), str(database)) from error
         verdict = str(error)
     except sqlite3.DatabaseError as error:
@@ -184,10 +188,10 @@ def _check(database: Path) -> None:
 
 
 def _create(database: Path) -> None:
-    """Make the tables under another name: MLflow can neither use nor mend a database that is half made."""
+    """Create the database under another name first: MLflow can neither use nor repair an unfinished one."""
     for left_behind in database.parent.glob("*.draft"):
         left_behind.unlink()
-    draft = _draft(database)  # a name anew: MLflow remembers what it has opened
+    draft = _draft(database)  # a new name at every call: MLflow caches the databases it has opened
     with _explained(uri := address(draft, "outputs")):
         from mlflow import MlflowClient
 
@@ -200,12 +204,15 @@ def _create(database: Path) -> None:
 
 
 def _draft(database: Path) -> Path:
+    """New name for an unfinished database, beside the final one."""
     return database.with_name(f"{uuid.uuid4().hex[:12]}.draft")
 
 
 def follow_move(outputs: Path, uri: str | None) -> None:
-    """MLflow keeps absolute locations; after the SQLite file was moved or mounted elsewhere, let them point to what
-    lies beside it. Cheap where nothing was moved."""
+    """Update the artifact locations of a SQLite store that was moved or mounted elsewhere.
+
+    MLflow keeps absolute locations; afterwards they point to the folder beside the file. It is cheap without a move.
+    """
     database = sqlite_file(outputs, uri)
     if database is None or not database.exists():
         return
@@ -214,7 +221,7 @@ def follow_move(outputs: Path, uri: str | None) -> None:
     try:
         with closing(open_read_only(database)) as connection:
             rows = connection.execute("SELECT DISTINCT artifact_location FROM experiments").fetchall()
-    except sqlite3.DatabaseError:  # damaged or no store: whoever opens it says so
+    except sqlite3.DatabaseError:  # damaged or no store: `connect` reports it
         return
     others = [old for (old,) in rows if old and old != new and old.endswith(ending)]
     moved = [old for old in others if _folder(new).exists() or not _folder(old).exists()]
@@ -223,6 +230,7 @@ def follow_move(outputs: Path, uri: str | None) -> None:
 
 
 def _folder(location: str) -> Path:
+    """Folder of an artifact location, a `file://` address."""
     return Path(unquote(location.removeprefix("file://")))
 
 

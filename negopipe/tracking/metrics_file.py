@@ -12,14 +12,14 @@ from negopipe.tracking.whole_file import write_whole
 def merge_into(path: Path, section: Mapping[str, Any]) -> None:
     """Merge `section` into the file, mapping by mapping; a reader sees the old file or the new one.
 
-    Keys are sorted, NaN and infinity become null, numbers of numpy and torch plain ones.
+    Keys are sorted, NaN and infinity become null, numbers of numpy and torch become plain numbers.
     """
     merged = json.dumps(_plain(_merge(read(path), section)), sort_keys=True, indent=2, allow_nan=False)
     write_whole(path, (merged + "\n").encode())
 
 
 def read(path: Path) -> dict[str, Any]:
-    """What the file holds; nothing where there is none."""
+    """Content of the file; empty where there is none."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 

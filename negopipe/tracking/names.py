@@ -1,4 +1,4 @@
-"""Names and parameters as MLflow takes them."""
+"""Names and parameters in the form that MLflow accepts."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ T = TypeVar("T")
 
 
 def clean_name(name: str) -> str:
-    """A name that MLflow takes: no `= [ ] @ %`, no empty and no `..` path parts."""
+    """The name as MLflow accepts it: without `= [ ] @ %`, without empty and `..` path parts."""
     parts = re.sub(r"[^\w\-. :/]", "_", name).split("/")
     return "/".join(part for part in parts if part not in ("", ".", ".."))
 
@@ -23,15 +23,17 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def cleaned(values: Mapping[str, T]) -> dict[str, T]:
-    """The same values under names that MLflow takes."""
+    """The same values under names that MLflow accepts."""
     return {clean_name(key): value for key, value in values.items()}
 
 
 def without_implied(keys: Sequence[str], configs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The keys without those that follow from another: from `algorithm.kind` follow all values of `algorithm` in which
-    configs of one kind do not differ.
+    """The keys without those that another key implies.
 
-    keys: in which the configs differ; configs: flat
+    `algorithm.kind` implies all keys of `algorithm` in which configs of one kind do not differ.
+
+    keys: keys in which the configs differ
+    configs: flat mappings
     """
     kinds = [key for key in keys if key.rpartition(".")[2] == "kind"]
     return [key for key in keys if not any(_follows(key, kind, configs) for kind in kinds)]

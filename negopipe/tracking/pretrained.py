@@ -1,5 +1,5 @@
-"""What comes with negopipe: policies (`checkpoint=pretrained`, or `pretrained/<name>` of another experiment), and what
-the oracle found (`evaluation.oracle=pretrained`)."""
+"""Results that come with negopipe: policies (`checkpoint=pretrained`, or `pretrained/<name>` of another experiment) and
+a table of the oracle (`evaluation.oracle=pretrained`)."""
 
 from pathlib import Path
 
@@ -10,13 +10,14 @@ PRETRAINED = "pretrained"
 
 
 def names() -> list[str]:
+    """Names of the policies."""
     return sorted(path.stem for path in FOLDER.glob("*.safetensors"))
 
 
 def find_pretrained(reference: str, experiment: str) -> Path | None:
-    """The file that `reference` means, None if it means no such policy; UserError if there is none of that name.
+    """File of the policy that `reference` names; None if it names another checkpoint; UserError for an unknown name.
 
-    experiment: the name of the config, which is meant where `reference` names none
+    experiment: name of the config, for a `reference` without a name
     """
     kind, _, name = reference.partition("/")
     if kind != PRETRAINED or Path(reference).is_file():
@@ -29,5 +30,5 @@ def find_pretrained(reference: str, experiment: str) -> Path | None:
 
 
 def find_oracle(reference: str) -> Path:
-    """The oracle.csv that `reference` means; the file need not be there."""
+    """The oracle.csv that `reference` names; the file need not exist."""
     return FOLDER / "oracle.csv" if reference == PRETRAINED and not Path(reference).is_file() else Path(reference)

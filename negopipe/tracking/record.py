@@ -1,4 +1,4 @@
-"""What a run folder says of itself, so that the same command goes on where it stopped and repeats nothing."""
+"""Record of a run in its folder, from which the same command resumes it without repeating finished stages."""
 
 import json
 import logging
@@ -12,20 +12,20 @@ from negopipe.tracking.whole_file import write_whole
 
 RECORD_NAME = "record.json"
 OVERRIDES = "overrides"
-"""Tag and entry of a finished stage: what stands behind `python -m negopipe` in the command, ready for a shell."""
+"""Tag and entry of a finished stage: the arguments of `python -m negopipe`, quoted for a shell."""
 ONLY_SHOW = ("report", "replay")
-"""Stages that make no results: their command is not the run's."""
+"""Stages without results: their command is not the run's."""
 
 log = logging.getLogger("negopipe")
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """The run in a folder.
+    """Record of the run in a folder.
 
     key: the run's own id, the same in every store (`negopipe.tracking.sync.delivery.KEY_TAG`)
     source: hash of the code that worked on it last (`negopipe.runtime.identity.source_hash`)
-    tags: what the store is told of the run beside its config
+    tags: of the run in the store, beside its config
     finished: by stage the hashes `config` (of what it depends on) and `source` (of the code that made it), and the
         `overrides` of the command that made it
     """
@@ -36,19 +36,19 @@ class RunRecord:
     finished: dict[str, dict[str, str]] = field(default_factory=dict)
 
     def has_finished(self, stage: str, key: str, source: str | None) -> bool:
-        """The stage was run to its end with the config of hash `key`, by the code of hash `source`; None = any."""
+        """Whether the stage was finished with the config of hash `key`, by the code of hash `source`; None = any."""
         made = self.finished.get(stage)
         return made is not None and made["config"] == key and source in (None, made["source"])
 
     def with_finished(self, stage: str, key: str, source: str, overrides: str | None) -> "RunRecord":
-        """This record after the stage has come to its end; overrides: of this command, None = not known."""
+        """This record with a finished stage; overrides: of this command, None = not known."""
         known = {} if overrides is None else {OVERRIDES: overrides}
         made = {"config": key, "source": source, **known}
         tags = self.tags if stage in ONLY_SHOW else {**self.tags, **known}
         return replace(self, finished={**self.finished, stage: made}, tags=tags)
 
     def with_tags(self, tags: Mapping[str, str]) -> "RunRecord":
-        """This record with a later command's tags; results that are there keep the command that made them."""
+        """This record with a later command's tags; existing results keep the command that made them."""
         kept = {OVERRIDES: self.tags[OVERRIDES]} if self._results() and OVERRIDES in self.tags else {}
         return replace(self, tags={**self.tags, **tags, **kept})
 
@@ -67,14 +67,14 @@ def as_command(overrides: str) -> str:
 
 
 def read_record(folder: Path) -> RunRecord | None:
-    """The record of a folder; None where there is none, or none that can be read (a line says so)."""
+    """Record of a folder; None where there is none, or, with a line in the log, where it cannot be read."""
     path = folder / RECORD_NAME
     if not path.exists():
         return None
     try:
         return TypeAdapter(RunRecord).validate_json(path.read_bytes())
     except ValueError as error:
-        log.warning(f"record     left out: {path} is no record of a run: {str(error).splitlines()[0]}")
+        log.warning(f"record     ignored: {path} is no record of a run: {str(error).splitlines()[0]}")
         return None
 
 

@@ -1,6 +1,6 @@
-"""A run's folder: what it holds, whose it is, and how it makes room for another run.
+"""Folder of a run: names of its files, its lock, and its archive.
 
-It belongs to one process at a time, the one that holds `<folder>/.lock`. The lock also tells who is alive.
+It belongs to one process at a time, the one that holds `<folder>/.lock`. The lock also tells which run is alive.
 """
 
 import logging
@@ -19,17 +19,17 @@ HISTORY_NAME = "history.csv"
 TRAINING_EPISODES_NAME = "training_episodes.csv"
 DEMONSTRATIONS_NAME = "demonstrations.csv"
 SNAPSHOTS_NAME = "snapshots"
-"""Folder of a run in which an unfinished training is kept."""
+"""Folder with the snapshots of an unfinished training."""
 CHECKPOINTS_NAME = "checkpoints"
-"""... and that of the checkpoints which the store is given, a folder per step."""
+"""Folder with copies of the checkpoints for the store, a folder per step."""
 TABLES_NAME = "tables"
-"""... and that of the tables which it shows."""
+"""Folder with the tables for the store."""
 CONFIG_NAME = "config.yaml"
 LOCK_NAME = ".lock"
 
 
 def lock(folder: Path) -> FileLock:
-    """Take the folder, made if need be; UserError if another process has it."""
+    """Lock of the folder, which is made if need be; UserError if another process holds it."""
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / LOCK_NAME, blocking=False)
     try:
@@ -41,22 +41,22 @@ def lock(folder: Path) -> FileLock:
 
 
 def archive(folder: Path, lock: FileLock) -> bool:
-    """Make room for another run: what is in the folder goes to `<folder>.old<n>`; False if there is nothing."""
+    """Rename the folder to `<folder>.old<n>`, to make room for another run; False if it is empty."""
     if {path.name for path in folder.iterdir()} <= {LOCK_NAME}:
         return False
     lock.release()
     places = (folder.with_name(f"{folder.name}.old{n}") for n in range(1, 10_000))
     place = next(path for path in places if not path.exists())
     folder.rename(place)
-    log.info(f"run        {place.name} keeps what was there")
+    log.info(f"run        earlier results moved to {place.name}")
     return True
 
 
 def link_or_copy(path: Path, kept: Path) -> None:
-    """A second name for a file that is replaced as a whole when it changes, or else a copy."""
+    """Hard link to a file that is replaced as a whole when it changes, or else a copy."""
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.unlink(missing_ok=True)
     try:
         os.link(path, kept)
-    except OSError:  # a file system that knows no links
+    except OSError:  # a file system without links
         shutil.copyfile(path, kept)

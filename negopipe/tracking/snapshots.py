@@ -1,4 +1,4 @@
-"""Snapshots of unfinished work: the last few, whole, and readable without running code."""
+"""Snapshots of unfinished work: the latest few, each written whole and read without running code."""
 
 import logging
 import shutil
@@ -16,20 +16,20 @@ log = logging.getLogger("negopipe")
 class Snapshots:
     """A folder of snapshots, one file each, named by the step after which it was taken.
 
-    n_kept: so many are kept, older ones are deleted; where the newest is damaged, the one before it counts
+    n_kept: number of snapshots that are kept; older ones are deleted. A damaged snapshot is skipped for the one before
     """
 
     def __init__(self, folder: Path, n_kept: int) -> None:
         self.folder, self.n_kept = folder, n_kept
 
     def save(self, step: int, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
-        """Add the snapshot of `step`; a process that is killed meanwhile leaves those that were there."""
+        """Add the snapshot of `step`; a process that is killed meanwhile leaves the earlier ones."""
         save_checkpoint(self.folder / f"{step:09d}.safetensors", tensors, metadata)
         for path in self._paths()[: -self.n_kept]:
             path.unlink()
 
     def newest(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        """Tensors and metadata of the newest snapshot that is whole; None where there is none."""
+        """Tensors and metadata of the newest whole snapshot; None where there is none."""
         for path in reversed(self._paths()):
             try:
                 return load_checkpoint(path)
@@ -38,7 +38,7 @@ class Snapshots:
         return None
 
     def remove(self) -> None:
-        """The work is finished: delete all."""
+        """Delete all snapshots, once the work is finished."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _paths(self) -> list[Path]:

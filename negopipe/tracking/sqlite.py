@@ -1,4 +1,4 @@
-"""SQLite files: which paths they may have, and how they are addressed."""
+"""SQLite files: their allowed paths and their addresses."""
 
 import os
 import sqlite3
@@ -10,14 +10,14 @@ from negopipe.environment import expanded
 from negopipe.errors import UserError, abbreviate
 
 LONGEST_PATH = 504
-"""Bytes of a database's absolute path without symbolic links, measured: SQLite opens no longer one."""
+"""Longest path of a database that SQLite opens, in bytes, absolute and without symbolic links (measured)."""
 _SCHEMES = ("sqlite:///", "sqlite+pysqlite:///")
 _DRIVER = "sqlite+pysqlite"
-"""With its driver named: MLflow takes an address without one for a plain path, and makes folders named `a%3Fb`."""
+"""Scheme of addresses with the driver. MLflow takes one without it for a plain path and makes folders `a%3Fb`."""
 
 
 def check_path(database: Path, key: str) -> None:
-    """UserError, with the key that led there, where SQLite can have no such file."""
+    """UserError, with the key that the path comes from, where SQLite cannot open such a path."""
     n_bytes = len(os.fsencode(os.path.realpath(database)))
     if n_bytes > LONGEST_PATH:
         allowed = f"a database file of at most {LONGEST_PATH} bytes, as SQLite takes it"
@@ -25,9 +25,9 @@ def check_path(database: Path, key: str) -> None:
 
 
 def address(database: Path, key: str) -> str:
-    """The address under which SQLAlchemy, and with it MLflow and Optuna, has a file of any name.
+    """Address of a file of any name for SQLAlchemy, and with it for MLflow and Optuna.
 
-    key: of the config, for the UserError about a path that cannot be
+    key: key of the config, for the UserError about an impossible path
     """
     from sqlalchemy.engine import URL, make_url
 
@@ -39,12 +39,12 @@ def address(database: Path, key: str) -> str:
 
 
 def is_address(uri: str) -> bool:
-    """The address is one of SQLite."""
+    """Whether the address is one of SQLite."""
     return uri.partition(":")[0].partition("+")[0] == "sqlite"
 
 
 def file_of(uri: str, key: str) -> Path:
-    """The file that an address of SQLite names; UserError where it names none."""
+    """File of a SQLite address; UserError where it names none."""
     rest = next((uri.removeprefix(scheme) for scheme in _SCHEMES if uri.startswith(scheme)), "")
     if "?" in rest or not rest.strip("/") or rest.startswith((":memory:", "file:")):
         allowed = "sqlite:///<file>, in it ? written as %3F and % as %25"
@@ -59,7 +59,7 @@ def file_of(uri: str, key: str) -> Path:
 
 
 def open_read_only(database: Path) -> sqlite3.Connection:
-    """A connection that changes nothing."""
+    """Read-only connection."""
     return sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True)
 
 

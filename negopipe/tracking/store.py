@@ -1,7 +1,7 @@
-"""One run, from its beginning to its end, and what it tells the store.
+"""One run, from its beginning to its end, and its entries in the store.
 
-What a run has to tell goes to its journal first and from there to the store, so that a store which is out of reach
-stops nobody and misses nothing.
+Every entry goes to the run's journal first and from there to the store, so that a store out of reach stops no run and
+misses no entry.
 """
 
 import logging
@@ -52,14 +52,15 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 _PARAM_CHARACTERS = 6000
+"""Longest value of a parameter that MLflow accepts."""
 _PAUSE_PER_TRY = 20
-"""A store that is out of reach is tried again after so many times as long as the last try took: waiting for an
-answer costs a training 5 % of its time at most."""
+"""Pause before a store out of reach is tried again, in durations of the last try: waiting for an answer costs a
+training 5 % of its time at most."""
 
 
 @schema
 class TrackingConfig:
-    """Where and how runs are recorded; `conf/tracking/mlflow.yaml` says what each value means."""
+    """Options of the store; `conf/tracking/mlflow.yaml` explains them."""
 
     uri: Address | None
     experiment: Label
@@ -71,7 +72,7 @@ class TrackingConfig:
 
 
 class StoreConfig(Protocol):
-    """What the store needs of the root config (`negopipe.config.root.RunConfig` has it)."""
+    """Part of the root config (`negopipe.config.root.RunConfig`) that the store needs."""
 
     @property
     def name(self) -> str: ...
@@ -91,24 +92,23 @@ def open_run(
     takes_any_code: bool = False,
     is_fresh: bool = False,
 ) -> Iterator["TrackedRun"]:
-    """A run folder `<outputs>/<name>/<run_name>`, held by this process. The store hears of it from `begin` on.
+    """Context with the run of a folder `<outputs>/<name>/<run_name>`, locked by this process.
 
     resolved: the full config as plain mappings; it becomes the run's parameters and its config.yaml
-    tags: what the store is told beside
-    source: hash of the code; a run that other code has worked on is not gone on with
-    takes_any_code: but for this, it is
-    is_fresh: begin anew in any case
+    tags: further tags of the run in the store
+    source: hash of the code; a run of other code is not resumed
+    takes_any_code: it is resumed all the same
+    is_fresh: no run is resumed
 
-    A run that is not gone on with is kept beside, as `<run_name>.old1` and so on. What has begun ends as FINISHED, as
-    FAILED on an exception, and as KILLED when the process is told to stop.
-    Raises UserError if another process holds the folder, and, before anything is made, where there can be no such
-    store.
+    The store knows the run from `TrackedRun.begin` on. It ends as FINISHED, as FAILED on an exception and as KILLED on
+    Ctrl-C or SIGTERM. A run that is not resumed is kept as `<run_name>.old1` and so on. Raises UserError if another
+    process holds the folder and, before anything is created, where no such store is possible.
     """
     outputs, uri = Path(config.outputs).absolute(), config.tracking.uri
     folder = outputs / config.name / run_name
     accepted = None if takes_any_code else source
     sqlite_file(outputs, uri)
-    with store_lock(outputs):  # folders change hands only here, so looking for dead runs disturbs nobody
+    with store_lock(outputs):  # run folders are locked only under this lock, so the search for dead runs is safe
         follow_move(outputs, uri)
         held = lock(folder)
         record = None if is_fresh else _continued(read_record(folder), accepted)
@@ -127,7 +127,7 @@ def open_run(
 
 
 def find_store(config: StoreConfig) -> "MlflowClient | None":
-    """A client of the store, or None if no run has been recorded under `outputs` yet."""
+    """Client of the store; None if no run has been recorded under `outputs` yet."""
     outputs, uri = Path(config.outputs), config.tracking.uri
     if uri is None and not database_path(outputs).exists():
         return None
@@ -138,12 +138,12 @@ def find_store(config: StoreConfig) -> "MlflowClient | None":
 
 
 class TrackedRun:
-    """One run: its folder and what the store is told of it.
+    """One run: its folder and its entries in the store.
 
     folder: absolute path, created
     accepted: hash of the code whose finished stages count; None = any
-    overrides: of the command of this process; None = not known
-    has_begun: this process has something to tell the store
+    overrides: overrides of this process's command; None = not known
+    has_begun: whether this process has made entries for the store
     """
 
     def __init__(
@@ -168,24 +168,24 @@ class TrackedRun:
 
     @property
     def run_id(self) -> str | None:
-        """MLflow's id, once the store has been told of the run."""
+        """MLflow's id of the run; None until the store knows the run."""
         return self._delivery.done.run_id
 
     @property
     def charts(self) -> str | None:
-        """Where the dashboard shows the charts of this run and of others like it, once the store knows the run."""
+        """Address of the charts of this run and of its experiment; None until the store knows the run."""
         experiment_id = self._delivery.done.experiment_id
         has_view = any(entry["kind"] == "view" for _, entry in self._journal.after(0))
         return chart_address(experiment_id, self._tracking.uri, has_view=has_view) if experiment_id else None
 
     @property
     def commands(self) -> list[str]:
-        """The commands that made what is in the folder, to paste: of the results, then of this process."""
+        """Commands that made the files of the folder, to paste: those of the results, then that of this process."""
         own = [] if self.overrides is None else [self.overrides]
         return [as_command(overrides) for overrides in dict.fromkeys([*self._record.commands(), *own])]
 
     def begin(self) -> None:
-        """From now on the run is RUNNING in the store. UserError where it can be no store, or a damaged one."""
+        """Make the run RUNNING in the store. UserError where no such store is possible or the store is damaged."""
         if self.has_begun:
             return
         try:
@@ -196,14 +196,14 @@ class TrackedRun:
         tags = {**self._record.tags, **process_tags(self.folder)}
         experiment, key = self._tracking.experiment, self._record.key
         about: dict[str, Any] = {"run_name": self.folder.name, "key": key, "tags": cleaned(tags)}
-        about |= {"store": self._delivery.store, "lock": lock_id(self.folder)}  # for who asks whether it is dead
+        about |= {"store": self._delivery.store, "lock": lock_id(self.folder)}  # for the search for dead runs
         self._journal.append("begin", None, experiment=experiment, **about)
         self.has_begun = True
         self._log_config()
         self.deliver()
 
     def _log_config(self) -> None:
-        """The full config: a file in the folder, an artifact and, flattened, the run's parameters."""
+        """Log the full config: a file in the folder, an artifact and, flattened, the run's parameters."""
         text = yaml.safe_dump(self._resolved, sort_keys=False, allow_unicode=True)
         write_whole(self.folder / CONFIG_NAME, text.encode())
         params = cleaned({key: str(value)[:_PARAM_CHARACTERS] for key, value in flatten(self._resolved).items()})
@@ -211,13 +211,13 @@ class TrackedRun:
         self._journal.append("params", values=params)
 
     def has_finished(self, stage: str, key: str) -> bool:
-        """The stage has been run to its end in this folder, with the config that `key` is the hash of."""
+        """Whether the stage was finished in this folder, with the config of hash `key`."""
         return self._record.has_finished(stage, key, self.accepted)
 
     def mark_finished(self, stage: str, key: str, source: str | None = None) -> None:
-        """From now on the stage need not be run again.
+        """Record that the stage is finished and need not run again.
 
-        source: hash of the code that made it, if not of this process
+        source: hash of the code that made it, if not this process's code
         """
         self.sync()
         before = self._record.tags
@@ -227,9 +227,9 @@ class TrackedRun:
             self.set_tags(self._record.tags)
 
     def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
-        """Scalars of one step; sent in batches, in the order of the calls.
+        """Log scalars of one step; they are sent in batches, in the order of the calls.
 
-        What an earlier process of this run has logged is not logged twice.
+        Values that an earlier process of this run has logged are not logged again.
         """
         values = cleaned({key: float(value) for key, value in metrics.items()})
         new = {key: value for key, value in values.items() if step > self._last_step.get(key, -1)}
@@ -241,12 +241,12 @@ class TrackedRun:
             self.deliver()
 
     def log_artifact(self, path: Path, artifact_folder: str = "") -> None:
-        """Give the store a copy of a file, or of a folder with all in it."""
+        """Copy a file, or a folder with its content, to the store."""
         self._tell("artifact", path=os.path.relpath(path, self.folder), folder=artifact_folder)
         self.deliver()
 
     def log_image(self, path: Path, key: str, step: int) -> None:
-        """Show a picture of the run folder among the charts; those of one key become one, with a slider of steps."""
+        """Show a picture of the run folder among the charts; those of one key share a chart with a slider of steps."""
         self._tell("image", path=os.path.relpath(path, self.folder), key=key, step=step)
         self.deliver()
 
@@ -259,10 +259,10 @@ class TrackedRun:
         self.deliver()
 
     def log_checkpoint(self, path: Path, step: int, metrics: Mapping[str, float], is_final: bool = True) -> None:
-        """Record a checkpoint as a model of this run, with the metrics that hold for it at that step.
+        """Record a checkpoint as a model of this run, with its metrics at that step.
 
         The final one becomes a version of `tracking.registered_model`, if that is set. A copy stays in the run folder,
-        so that the store can be given it at any time.
+        so that it can be sent to a store at any time.
         """
         kept = self.folder / CHECKPOINTS_NAME / f"step_{step}" / path.name
         link_or_copy(path, kept)
@@ -270,7 +270,7 @@ class TrackedRun:
         name = self._tracking.registered_model if is_final else None
         place = str(kept.relative_to(self.folder))
         logged_step, logged_ms = self._logged
-        # the same metric at the same time is one, whether it is logged for the run or for the checkpoint
+        # the store counts a metric of the run and one of the checkpoint as one where their times are equal
         time_ms = logged_ms if step == logged_step else None
         self._tell("checkpoint", time_ms, path=place, step=step, values=values, registered_model=name)
         self.deliver()
@@ -279,7 +279,7 @@ class TrackedRun:
         """Offer a view of this run and others like it: the parameters that differ, beside the results.
 
         metrics: names as in metrics.json, `evaluation.yield.adaptive.reward`
-        left_out: parameters that are never shown, with all below them
+        left_out: parameters that are not shown, with all below them
         """
         names = [clean_name(name.replace(".", "/")) for name in metrics]
         self._tell("view", metrics=names, left_out=sorted(left_out))
@@ -288,13 +288,13 @@ class TrackedRun:
     def update_metrics_json(self, section: Mapping[str, Any]) -> None:
         """Merge `section` into the folder's metrics.json.
 
-        The file holds results, no clock times and no paths, so that two runs with one seed can be compared
-        (durations are the exception; their keys say so).
+        The file holds results, without clock times and paths, so that two runs with one seed can be compared.
+        Durations are the exception, by their keys.
         """
         merge_into(self.folder / METRICS_NAME, section)
 
     def set_description(self, markdown: str) -> None:
-        """The text at the top of the run's page."""
+        """Set the text at the top of the run's page."""
         self.set_tags({"mlflow.note.content": markdown})
 
     def set_tags(self, tags: Mapping[str, str]) -> None:
@@ -306,11 +306,11 @@ class TrackedRun:
         return self._journal.append(kind, time_ms, **content)
 
     def sync(self) -> None:
-        """All that was logged so far is on the disk: the work after it may be known to be done."""
+        """Write all entries so far to the disk, before later work is recorded as done."""
         self._journal.sync()
 
     def deliver(self) -> None:
-        """Bring what waits to the store, if it is in reach."""
+        """Send waiting entries to the store, if it is in reach."""
         started_s = time.monotonic()
         if started_s < self._next_try_s:
             return
@@ -325,7 +325,7 @@ class TrackedRun:
         self._sent_s = time.monotonic()
 
     def close(self, status: str) -> None:
-        """The end: metrics.json goes to the artifacts, the status becomes final, what waits is sent."""
+        """End the run: metrics.json becomes an artifact, the status becomes final, waiting entries are sent."""
         if self.has_begun:
             if (self.folder / METRICS_NAME).exists():
                 self._tell("artifact", path=METRICS_NAME, folder="")
@@ -335,8 +335,8 @@ class TrackedRun:
             self.deliver()
         if not self._delivery.is_complete:
             deliver = f"python -m negopipe.tracking.sync {shlex.quote(str(self._outputs))}"
-            later = f"the same command sends it, or {deliver}"
-            log.warning(f"store      has not been given all of {self.folder.name}: {later}")
+            later = f"the same command sends them, or {deliver}"
+            log.warning(f"store      lacks entries of {self.folder.name}: {later}")
 
     def _connect(self) -> "MlflowClient":
         with store_lock(self._outputs):
@@ -351,12 +351,12 @@ class TrackedRun:
     def _say_out_of_reach(self, error: Exception) -> None:
         if not self._is_out_of_reach:
             reason = first_line(error)
-            log.warning(f"store      is out of reach, what it is to be told waits in {self._journal.path}: {reason}")
+            log.warning(f"store      is out of reach, its entries wait in {self._journal.path}: {reason}")
         self._is_out_of_reach = True
 
     def _say_in_reach(self) -> None:
         if self._is_out_of_reach:
-            log.info("store      is in reach, what waited has been sent")
+            log.info("store      is in reach again, waiting entries have been sent")
         self._is_out_of_reach = False
 
 
@@ -374,7 +374,7 @@ def _final_status(run: TrackedRun) -> Iterator[None]:
 
 
 def _close_failed(run: TrackedRun) -> None:
-    """What made the run fail, a full disk say, may keep it from saying so: then the next start does."""
+    """Close a failed run. The cause, such as a full disk, may prevent that: then the next start closes it."""
     try:
         run.close("FAILED")
     except OSError as error:
@@ -382,15 +382,15 @@ def _close_failed(run: TrackedRun) -> None:
 
 
 def _continued(record: RunRecord | None, accepted: str | None) -> RunRecord | None:
-    """The record of a run to go on with, if there is one."""
+    """Record of the run to resume, if there is one."""
     if record is not None and accepted not in (None, record.source):
-        log.info("run        begins anew: other code made what is there (reuse=any_code takes it all the same)")
+        log.info("run        starting anew: other code made the results in its folder (reuse=any_code accepts them)")
         return None
     return record
 
 
 def _earlier_metrics(journal: Journal) -> tuple[dict[str, int], tuple[int, int]]:
-    """What earlier processes of this run logged: the last step of every metric; step and time of the latest of them."""
+    """Metrics that earlier processes of this run logged: last step of every metric; step and time of the latest one."""
     last: dict[str, int] = {}
     latest = (-1, 0)
     for _, entry in journal.after(0):

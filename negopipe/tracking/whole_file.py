@@ -1,17 +1,17 @@
-"""Files that are there whole or not at all."""
+"""Files that are written whole or not at all."""
 
 import os
 import tempfile
 from pathlib import Path
 
 _UMASK = os.umask(0o022)
-os.umask(_UMASK)  # it can only be read by being set
+os.umask(_UMASK)  # reading it requires setting it
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file, its folder too if need be; a process that is killed leaves the file that was there before.
+    """Write a file, and its folder if need be; a process that is killed leaves the earlier file.
 
-    Who may read it is what is usual for the process's files, not what is usual for temporary ones.
+    Its permissions are the usual ones of the process, not those of temporary files.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:

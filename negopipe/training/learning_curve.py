@@ -23,7 +23,7 @@ MEANS_OF_EPISODES = {"success_rate": "is_success", "collision_rate": "is_collisi
 
 
 class LearningCurve:
-    """The history of a training.
+    """History of a training.
 
     rows: one per iteration; success_rate, collision_rate and return_mean are those of the latest episodes
     episodes: name -> [N] float64 on the CPU, of all episodes so far: `decisions` of the training up to the end of the
@@ -76,7 +76,7 @@ class LearningCurve:
         return {"rows": self.rows, **self._times()}
 
     def load_state_dict(self, state: dict[str, Any], episodes: Mapping[str, Tensor]) -> None:
-        """Restore what `state_dict` returned; the time in between does not count."""
+        """Restore a state of `state_dict`; the time since then does not count."""
         self.rows, self.episodes = state["rows"], dict(episodes)
         self._last_s = time.monotonic()
         self._started_s = self._last_s - state["wall_s"]
@@ -95,7 +95,7 @@ class LearningCurve:
 
     def text(self, row: dict) -> str:
         """Text of the progress line after a row."""
-        outcome = "no episode over yet"
+        outcome = "no episode has ended"
         if row["success_rate"] == row["success_rate"]:
             outcome = f"success {row['success_rate']:4.0%} return {row['return_mean']:5.1f}"
         return f"{row['stage']} {outcome} {row['decisions_per_s']:5.0f} decisions/s"

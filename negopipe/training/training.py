@@ -1,4 +1,4 @@
-"""Algorithm 1, one iteration at a time."""
+"""Training by Algorithm 1, one iteration at a time."""
 
 import logging
 import math

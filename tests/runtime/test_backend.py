@@ -30,6 +30,22 @@ def test_what_is_given_counts(tmp_path: Path) -> None:
     assert json.loads((tmp_path / backend.BACKEND_NAME).read_text())["n_threads"] <= backend.MAX_THREADS
 
 
+@pytest.mark.parametrize(("n_threads", "n_warnings"), [(2, 0), (3, 1)])
+def test_more_threads_than_cores_are_warned_of(
+    n_threads: int, n_warnings: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(backend, "_n_cores", lambda: 2)
+    backend.resolve_auto(compose_config(["compile=off", f"n_threads={n_threads}"]), tmp_path)
+    warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(warnings) == n_warnings
+    assert all("n_threads should be at most 2, the cores of this process, got 3: " in line for line in warnings)
+
+
+def test_auto_takes_no_more_threads_than_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backend, "_n_cores", lambda: 3)
+    assert backend.resolve_auto(compose_config(["compile=off"]), tmp_path).n_threads == 3
+
+
 def test_a_compiler_that_is_gone_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / backend.BACKEND_NAME).write_text('{"device": "cpu", "compile": "on", "n_threads": 1}')
     monkeypatch.setattr(backend, "has_compiler", lambda: False)

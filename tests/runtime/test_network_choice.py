@@ -155,5 +155,5 @@ def test_what_is_hopeless_is_given_up_after_a_few_grids(
     assert choice(resolve_auto(many, tmp_path)) == ("float32", LAST)
     assert timed == [(torch.float32, 16), (torch.bfloat16, 16), *[(torch.float32, 128)] * network_choice.N_ROUNDS]
     assert caplog.messages == [
-        "network    float32, channels_last (forward and backward of 128: 100 ms; all else takes many times as long)"
+        "network    float32, channels_last (forward and backward of 128: 100 ms; the others take many times as long)"
     ]

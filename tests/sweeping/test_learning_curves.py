@@ -5,13 +5,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scripts import JOBS
 from swept import make_run
 
 from negopipe.sweeping import learning_curves as curves
 from negopipe.sweeping.compare import main
 from negopipe.sweeping.groups import group_runs
-from negopipe.sweeping.learning_curves import COLORS, drawn_groups, learning_curves
+from negopipe.sweeping.learning_curves import COLORS, COLUMNS, CURVES, drawn_groups, learning_curves
 from negopipe.sweeping.swept_runs import read_runs
+from negopipe.tracking.csv_file import read_csv
 
 
 @pytest.fixture
@@ -111,3 +113,15 @@ def test_the_figure_can_be_drawn_again_from_its_table(folder: Path, capsys: pyte
     assert "none.csv: no such file" in capsys.readouterr().err
     assert main([str(target / "learning_curves.csv"), "--every", "2"]) == 1
     assert "takes no options" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("path", sorted((JOBS / "results").glob("*_curves.csv")), ids=lambda path: path.stem)
+def test_the_curves_of_the_published_results_can_be_drawn_again(path: Path, tmp_path: Path) -> None:
+    table = read_csv(path, CURVES, COLUMNS)
+    assert (table["group"] != "").all()
+    assert len(table.drop_duplicates(["group", "seed", "decisions"])) == len(table)
+    copy = tmp_path / path.name
+    copy.write_bytes(path.read_bytes())
+    assert main([str(copy)]) == 0
+    assert copy.with_suffix(".png").is_file()
+    assert copy.with_suffix(".svg").is_file()

@@ -158,7 +158,7 @@ def test_a_database_that_is_out_of_reach_is_waited_for(
     config = at(ready, ready.outputs, f"sqlite:///{tmp_path}/there/is a folder.db")
     with open_run(config, "one", {}) as run:
         run.log_metrics({"x": 1.0}, 0)
-    assert "is out of reach, what it is to be told waits" in caplog.text
+    assert "is out of reach, its entries wait" in caplog.text
     assert (run.folder / "journal.jsonl").exists()
 
 
@@ -173,7 +173,7 @@ def test_one_that_cannot_be_reached_at_all_is_waited_for_too(
     monkeypatch.setattr("mlflow.MlflowClient.__init__", refuse)
     with open_run(ready, "one", {}) as run:
         run.log_metrics({"x": 1.0}, 0)
-    assert "is out of reach, what it is to be told waits" in caplog.text
+    assert "is out of reach, its entries wait" in caplog.text
     with pytest.raises(UserError, match=r"^checkpoint must be in a store that is in reach, got 0000"):
         find_checkpoint("0" * 32, ready)
 

@@ -29,7 +29,7 @@ def test_what_a_server_missed_it_gets_later(tmp_path: Path) -> None:
     assert "out of reach" in rest
     without_server = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "out of reach" in without_server.stdout
-    assert "has not been given all" in without_server.stdout
+    assert "lacks entries of" in without_server.stdout
     with server(tmp_path / "server", port) as uri:
         deliver = [sys.executable, "-m", "negopipe.tracking.sync.__main__", f"{tmp_path}/outputs", uri]
         delivered = subprocess.run(deliver, capture_output=True, text=True, check=True).stdout

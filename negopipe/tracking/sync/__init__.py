@@ -1,1 +1,1 @@
-"""What a run has to tell a store: journal -> delivery -> MLflow."""
+"""Synchronisation of a run with its store: journal -> delivery -> MLflow."""

@@ -1,7 +1,7 @@
-"""`python -m negopipe.tracking.sync <outputs> [<uri>]`: tell a store all that it has not been told yet.
+"""`python -m negopipe.tracking.sync <outputs> [<uri>]`: bring a store up to date with the runs of a folder.
 
-After an outage, from a machine without a network to a server, or to make a lost store anew: the run folders have it
-all. Runs that a process works on are left to it, dead ones end as KILLED. Giving it again does no harm.
+It serves after an outage, for runs of a machine without a network, and to make a lost store anew: the run folders hold
+all entries. Runs in use are left to their process, dead runs end as KILLED. A second delivery changes nothing.
 """
 
 import sys
@@ -14,9 +14,9 @@ from negopipe.tracking.sync.journal import JOURNAL_NAME
 
 
 def deliver(outputs: Path, uri: str | None) -> int:
-    """The number of runs that the store at `uri`, None = the one in `outputs`, knows all of now.
+    """Deliver the runs of `outputs` to the store at `uri`, None = the one in `outputs`; returns how many are complete.
 
-    Raises UserError where it can be no store, MlflowException or OSError where it is out of reach.
+    Raises UserError where no such store is possible, MlflowException or OSError where it is out of reach.
     """
     outputs = outputs.absolute()
     sqlite_file(outputs, uri)

@@ -1,7 +1,7 @@
-"""Runs whose process died: they are told to the end and closed as KILLED, those of this outputs folder only.
+"""Runs of this outputs folder whose process died: their rest is sent to the store, and they are closed as KILLED.
 
-A store is not searched for them: others may report to it, too, from machines and containers of the same name. A run is
-dead where its own folder says so: its journal has begun and not ended, and the lock that its process held is free.
+The store is not searched for them, since other machines and containers of the same name may report to it. A run is dead
+if the journal in its folder has begun and not ended, and the lock that its process held is free.
 """
 
 import logging
@@ -23,17 +23,17 @@ log = logging.getLogger("negopipe")
 
 
 def process_tags(folder: Path) -> dict[str, str]:
-    """Where a run is worked on, for who reads the store."""
+    """Tags of a run with the place of its process, for readers of the store."""
     return {"host": socket.gethostname(), "pid": str(os.getpid()), "folder": str(folder)}
 
 
 def lock_id(folder: Path) -> int:
-    """What tells the lock of a run folder from that of a copy of the folder: nobody holds the copy's."""
+    """Identity of a run folder's lock, which differs from that of a copy of the folder: no process holds the copy's."""
     return (folder / LOCK_NAME).stat().st_ino
 
 
 def close_if_dead(folder: Path, outputs: Path, uri: str | None, client: "MlflowClient") -> Delivery | None:
-    """Tell a store the rest of a run, and that it was KILLED if it did not end; None if a process works on it.
+    """Send the rest of a run to a store, as KILLED if it did not end; None if a process works on it.
 
     Raises MlflowException or OSError where the store is out of reach.
     """
@@ -45,11 +45,11 @@ def close_if_dead(folder: Path, outputs: Path, uri: str | None, client: "MlflowC
 
 
 def close_dead_runs(client: "MlflowClient", own: Delivery) -> None:
-    """Close what dead processes left of those runs in the outputs folder that reported to the store of `own`, which
-    is the delivery of this process's run.
+    """Close the dead runs of the outputs folder that reported to the store of `own`.
 
-    Hold `store_lock`, so that nobody takes a folder meanwhile. Raises MlflowException or OSError where the store is out
-    of reach: then the next start does it.
+    own: delivery of this process's run
+    The caller holds `store_lock`, so that no process takes a folder meanwhile. Raises MlflowException or OSError where
+    the store is out of reach; then the next start closes them.
     """
     for path in own.outputs.glob(f"*/*/{JOURNAL_NAME}"):
         if path.parent != own.folder and _may_be_dead(path):
@@ -59,7 +59,7 @@ def close_dead_runs(client: "MlflowClient", own: Delivery) -> None:
 def _may_be_dead(journal: Path) -> bool:
     try:
         return not has_ended(journal)
-    except OSError:  # deleted just now, or not for us to read
+    except OSError:  # deleted meanwhile, or not readable
         return False
 
 
@@ -67,7 +67,7 @@ def _close_own(folder: Path, client: "MlflowClient", own: Delivery) -> None:
     try:
         lock = FileLock(folder / LOCK_NAME, blocking=False)
         lock.acquire()
-    except (Timeout, OSError):  # alive, or not ours to take
+    except (Timeout, OSError):  # alive, or without permission
         return
     try:
         begun = _begun(Journal(folder))
@@ -80,7 +80,7 @@ def _close_own(folder: Path, client: "MlflowClient", own: Delivery) -> None:
 
 
 def _end(folder: Path, outputs: Path, uri: str | None, client: "MlflowClient") -> Delivery:
-    """It ends in the journal only once the store has all before: else no later start would look at it again."""
+    """Deliver a dead run, then end it in its journal. After the end no later start would look at it again."""
     journal = Journal(folder)
     delivery = Delivery(folder, journal, outputs, uri)
     delivery.deliver(client)
@@ -91,7 +91,7 @@ def _end(folder: Path, outputs: Path, uri: str | None, client: "MlflowClient") -
 
 
 def _begun(journal: Journal) -> dict[str, Any] | None:
-    """The last entry `begin`; None where the run has not begun or has ended since."""
+    """Last entry `begin` of a journal; None where the run has not begun or has ended since."""
     last = None
     for _, entry in journal.after(0):
         if entry["kind"] in ("begin", "end"):

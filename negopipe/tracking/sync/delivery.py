@@ -1,8 +1,7 @@
-"""From a run's journal to a store: complete, in order and nothing twice, however often it is broken off.
+"""Delivery of a run's journal to a store: complete, in order and without repetition, also after interruptions.
 
-What is sent again after a crash does no harm: the store takes a metric of the same time, step and value, a tag or a
-file for the one it has. A run, its checkpoints and its images, which it would make twice, are
-looked for first.
+Entries may be sent again after a crash: to the store, a metric of the same time, step and value, a tag or a file is not
+new. It would duplicate runs, checkpoints and images, so these are looked for first.
 """
 
 import json
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
 DELIVERED_NAME = "delivered.json"
 KEY_TAG = "run_key"
-"""Tag by which a run is found whose id was not written down any more."""
+"""Tag by which a run is found if the process died before it recorded the id."""
 
 _OWN_STORE = "outputs"
 _PARAMS_PER_CALL = 100
@@ -37,7 +36,7 @@ log = logging.getLogger("negopipe")
 
 @dataclass(frozen=True)
 class Delivered:
-    """How far a journal has come in a store: `n_bytes` of it, as the run `run_id` of an experiment there."""
+    """Delivered part of a journal in a store: its first `n_bytes`, as the run `run_id` of an experiment."""
 
     run_id: str | None = None
     experiment_id: str = ""
@@ -45,11 +44,11 @@ class Delivered:
 
 
 class Delivery:
-    """The journal of one run folder on its way to one store.
+    """Delivery of one run folder's journal to one store.
 
     outputs: absolute path of the outputs folder
-    uri: of the store, None = the one in `outputs`
-    store: the name under which delivered.json keeps how far the store has been told
+    uri: address of the store, None = the one in `outputs`
+    store: name of the store in delivered.json
     """
 
     def __init__(self, folder: Path, journal: Journal, outputs: Path, uri: str | None) -> None:
@@ -60,12 +59,14 @@ class Delivery:
 
     @property
     def is_complete(self) -> bool:
-        """The store has been given all that is in the journal."""
+        """Whether the store has all entries of the journal."""
         return self.done.n_bytes >= self.journal.n_bytes
 
     def deliver(self, client: "MlflowClient") -> None:
-        """Send what is missing. Raises MlflowException or OSError where the store is out of reach; what it has
-        taken by then counts."""
+        """Send the missing entries.
+
+        Raises MlflowException or OSError where the store is out of reach; entries that it received by then count.
+        """
         if not self._is_checked:
             self._start_over_if_lost(client)
         before = self.done
@@ -78,7 +79,7 @@ class Delivery:
                 self._write_down()
 
     def _start_over_if_lost(self, client: "MlflowClient") -> None:
-        """A store that was made anew does not know the run: it is told everything again."""
+        """Send all entries again to a store that was made anew and does not know the run."""
         from mlflow.exceptions import MlflowException
 
         if self.done.run_id is not None:
@@ -121,7 +122,7 @@ class Delivery:
         return self.done.run_id
 
     def _begin(self, client: "MlflowClient", entry: Mapping[str, Any]) -> None:
-        """A process takes the run up: the first makes it, later ones set it running again."""
+        """Create the run for its first process; set it running again for later ones."""
         tags = {**entry["tags"], KEY_TAG: entry["key"]}
         run = client.get_run(self.done.run_id) if self.done.run_id else self._find(client, entry)
         if run is None:
@@ -168,7 +169,7 @@ class Delivery:
             client.log_batch(self._run_id, metrics=metrics[start : start + _METRICS_PER_CALL])
 
     def _send_params(self, client: "MlflowClient", values: Mapping[str, str]) -> None:
-        """Those that the run has keep their values: the store lets no one change them."""
+        """Send the parameters that the run does not have yet: the store does not let them change."""
         from mlflow.entities import Param
 
         known = client.get_run(self._run_id).data.params
@@ -192,7 +193,7 @@ class Delivery:
         client.log_image(self._run_id, picture, key=entry["key"], step=step, timestamp=time_ms, synchronous=True)
 
     def _send_table(self, client: "MlflowClient", path: Path, folder: str) -> None:
-        """An artifact that a tag marks as a table: `log_table` would add to the rows which are there already."""
+        """Send an artifact and mark it as a table with a tag: MLflow's `log_table` would append to existing rows."""
         from mlflow.utils.mlflow_tags import MLFLOW_LOGGED_ARTIFACTS
 
         self._send_artifact(client, path, folder)
@@ -202,7 +203,7 @@ class Delivery:
             client.set_tag(self._run_id, MLFLOW_LOGGED_ARTIFACTS, json.dumps([*marked, mark]))
 
     def _send_checkpoint(self, client: "MlflowClient", entry: Mapping[str, Any]) -> None:
-        """A checkpoint is a model of the run and, if it has a name there, a version in the registry."""
+        """Send a checkpoint as a model of the run and, if it has a registered name, as a version in the registry."""
         from mlflow.entities import LoggedModelOutput
 
         path, step = self.folder / entry["path"], entry["step"]
@@ -242,26 +243,26 @@ class Delivery:
 
 
 def _is_there(path: Path) -> bool:
-    """A warning where it is not: somebody has tidied up."""
+    """Whether the file exists; a warning where it was deleted."""
     if not path.exists():
-        log.warning(f"store      is not given {path}, which is no longer there")
+        log.warning(f"store      does not receive {path}: the file was deleted")
     return path.exists()
 
 
 def _read(folder: Path) -> dict[str, Delivered]:
-    """By store; where the file is damaged nothing counts as delivered, and sending it again does no harm."""
+    """Delivered parts by store; none where the file is damaged, since entries may be sent again."""
     path = folder / DELIVERED_NAME
     if not path.exists():
         return {}
     try:
         return TypeAdapter(dict[str, Delivered]).validate_json(path.read_bytes())
     except ValueError:
-        log.warning(f"store      is told everything again: {path} is damaged")
+        log.warning(f"store      receives all entries again: {path} is damaged")
         return {}
 
 
 def _together(entries: Iterator[tuple[int, dict[str, Any]]]) -> Iterator[tuple[int, list[dict[str, Any]]]]:
-    """Neighbouring entries of metrics as one, up to what one call takes; all others alone."""
+    """Groups of entries: neighbouring entries of metrics up to the size of one call, all others alone."""
     waiting: list[dict[str, Any]] = []
     n_values = end = 0
     for n_bytes, entry in entries:

@@ -1,4 +1,4 @@
-"""The journal of a run: all that it has to tell a store, in order, on disk before anything is sent."""
+"""Journal of a run: its entries for a store, in order, on disk before they are sent."""
 
 import json
 import os
@@ -9,25 +9,25 @@ from typing import Any
 
 JOURNAL_NAME = "journal.jsonl"
 _TAIL = 400
-"""Bytes: more than an entry `end` has."""
+"""Bytes at the end of a journal that are read for its last entry, more than an entry `end` has."""
 
 
 def has_ended(path: Path) -> bool:
-    """The last whole line of a journal is the entry `end`.
+    """Whether the last whole line of a journal is the entry `end`.
 
-    It reads the last bytes and changes nothing, so that it is cheap, and may be asked of a run that is being worked on.
+    Only the last bytes are read, and nothing is changed, so it is cheap and safe for a run in use.
     """
     with path.open("rb") as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL))
-        lines = file.read().split(b"\n")[:-1]  # behind the last line break is nothing, or a line that is not whole
+        lines = file.read().split(b"\n")[:-1]  # behind the last line break is nothing or an unfinished line
     return bool(lines) and lines[-1].startswith(b'{"kind": "end"')
 
 
 class Journal:
-    """A file of one JSON mapping per line, which only grows.
+    """A file with one JSON mapping per line, to which lines are only appended.
 
-    An entry has a `kind`, its `time_ms` (Unix time) and what `negopipe.tracking.sync.delivery` needs of that kind. The
-    operating system has a line when `append` returns: a process that is killed loses nothing.
+    An entry has a `kind`, its `time_ms` (Unix time) and the content of that kind for `negopipe.tracking.sync.delivery`.
+    The operating system has a line when `append` returns, so a process that is killed loses none.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -35,7 +35,7 @@ class Journal:
         self.n_bytes = self._drop_torn_line()
 
     def append(self, kind: str, time_ms: int | None = None, **content: Any) -> int:
-        """Add an entry, whole or not at all, and return its time, by default now; OSError where the disk is full."""
+        """Append an entry, whole or not at all; returns its time, by default now. OSError where the disk is full."""
         time_ms = time_ms or time.time_ns() // 1_000_000
         entry = {"kind": kind, "time_ms": time_ms, **content}
         line = (json.dumps(entry) + "\n").encode()
@@ -51,7 +51,7 @@ class Journal:
         return time_ms
 
     def after(self, n_bytes: int) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Entries behind the first `n_bytes`, each with the number of bytes that the journal has up to its end."""
+        """Entries after the first `n_bytes`, each with the number of bytes up to its own end."""
         if n_bytes >= self.n_bytes:
             return
         with self.path.open("rb") as file:
@@ -61,7 +61,7 @@ class Journal:
                 yield n_bytes, json.loads(line)
 
     def sync(self) -> None:
-        """Wait until the disk has it: what follows may rely on it even if the machine loses power."""
+        """Wait until the journal is on the disk, safe from a loss of power."""
         if self.n_bytes:
             with self.path.open("rb+") as file:
                 os.fsync(file.fileno())

@@ -1,7 +1,7 @@
-"""A view that MLflow's dashboard offers of an experiment: the runs' parameters that differ, and what came of them.
+"""Saved view of an experiment in MLflow's dashboard: the parameters in which its runs differ, and their results.
 
-MLflow keeps a saved view as a tag of the experiment: a name, two times and, as text, the state of its page of runs.
-What a state leaves out the page fills in: it puts a chart of every metric into the section of its name.
+MLflow keeps a saved view as a tag of the experiment: a name, two times and, as text, the state of its page of runs. The
+page completes a state: it puts a chart of every metric into the section of its name.
 """
 
 import json
@@ -16,29 +16,31 @@ if TYPE_CHECKING:
 VIEW = "comparison"
 """Id of the view, for addresses."""
 TAG = f"mlflow.sharedViewState.{VIEW}"
+"""Tag of the experiment that holds the view."""
 
 N_AXES = 6
-"""Parameters shown at most: more axes than that cannot be read."""
+"""Largest number of parameters in the view: more axes are not readable."""
 LONGEST_VALUE = 30
-"""Characters: longer values, of whole lists, are no labels of an axis."""
+"""Longest value of a shown parameter, in characters: longer ones, of whole lists, are no labels of an axis."""
 MAX_RUNS = 1000
+"""Largest number of runs in the view."""
 LONGEST_TAG = 5000
-"""Characters that MLflow takes."""
+"""Longest tag that MLflow accepts, in characters."""
 
 
 def save_comparison(
     client: "MlflowClient", experiment_id: str, metrics: Sequence[str], left_out: Collection[str]
 ) -> None:
-    """Make the view of an experiment anew, from the runs that have all `metrics`.
+    """Save the view of an experiment anew, from the runs that have all `metrics`.
 
     metrics: axes of the parallel coordinates
-    left_out: first parts of parameters' names that are no axes; the seed is one where nothing else differs
+    left_out: first parts of the names of parameters that are no axes; the seed is an axis where nothing else differs
     """
     found = client.search_runs([experiment_id], max_results=MAX_RUNS)
     params = [run.data.params for run in found if set(metrics) <= set(run.data.metrics)]
     axes = differing(params, left_out)[:N_AXES] or differing([{"seed": each.get("seed", "")} for each in params], ())
     sections = sorted({name.rpartition("/")[0] for run in found for name in run.data.metrics})
-    # the runs' time, not the clock's, so that telling twice changes nothing
+    # the runs' time, not the clock's, so that a second delivery changes nothing
     time_ms = max((run.info.start_time for run in found), default=0)
     for known in (sections, []):  # without its sections a view is short enough for a tag
         state = json.dumps(_state(axes, metrics, known), separators=(",", ":"))
@@ -49,8 +51,10 @@ def save_comparison(
 
 
 def differing(params: Sequence[Mapping[str, str]], left_out: Collection[str]) -> list[str]:
-    """Names of parameters that not all have with the same short value, in the order of the first that has them; without
-    those that follow from the others."""
+    """Names of parameters that differ among runs and have short values, without those that others imply.
+
+    They are in the order of the first run that has them.
+    """
     names = dict.fromkeys(name for each in params for name in each if name.partition(".")[0] not in left_out)
     values = {name: {each.get(name, "") for each in params} for name in names}
     short = [name for name, seen in values.items() if len(seen) > 1 and max(map(len, seen)) <= LONGEST_VALUE]
@@ -58,8 +62,9 @@ def differing(params: Sequence[Mapping[str, str]], left_out: Collection[str]) ->
 
 
 def _state(axes: Sequence[str], metrics: Sequence[str], sections: Sequence[str]) -> dict[str, Any]:
-    """The comparison, the sections of what is compared, all others, and last and folded up the neighbours of what is
-    compared: the other planners, who drive alike in every run.
+    """State of the page: the comparison, the sections of `metrics`, all other sections and, folded, their neighbours.
+
+    The neighbours are the other planners, which drive alike in every run.
     """
     compared = {name.rpartition("/")[0] for name in metrics}
     neighbours = {name.partition("/")[0] for name in compared}
@@ -76,6 +81,6 @@ def _state(axes: Sequence[str], metrics: Sequence[str], sections: Sequence[str])
     return {
         "compareRunSections": [*([comparison | made_by_hand] if axes else []), *generated],
         "compareRunCharts": [chart | made_by_hand] if axes else [],
-        "isAccordionReordered": True,  # else the page puts them in the order of their names
+        "isAccordionReordered": True,  # otherwise the page sorts them by name
         "runsExpanded": {},
     }
