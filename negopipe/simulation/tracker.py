@@ -25,6 +25,9 @@ from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.state import Estimate, Sightings, Tracks
 from negopipe.tensors.tree import map_tensors, tree_where
 
+MOST_STEPS = 2**31
+"""Steps that no episode lasts."""
+
 LEAST = torch.finfo(torch.float32).tiny
 """Smallest number by which is divided: a sensor without errors leaves a vehicle at rest without variance."""
 
@@ -49,7 +52,7 @@ class Tracker:
 
     def __init__(self, config: TrackerConfig, dt_s: float, variances: tuple[float, float, float]) -> None:
         self.config, self.dt_s, self.variances = config, dt_s, variances
-        self._forget_steps = round(config.forget_after_s / dt_s)
+        self._forget_steps = round(min(config.forget_after_s / dt_s, MOST_STEPS))
 
     def start(self, first: Sightings, age_s: Tensor, n_steps: int) -> Tracks:
         """Tracks that begin with the sightings `first` (J = 1), taken `age_s` [E] ago.

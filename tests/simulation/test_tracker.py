@@ -1,22 +1,26 @@
 """The tracker: the textbook's filter, vehicles carried on while they are not seen, smaller errors than the sensor's."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from games import draw_tasks
+from games import MIXTURE, draw_tasks
 from torch import Tensor
 
 from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
+from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.perception import PerceptionConfig
+from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import Estimate, Sightings, Tracks, World
 from negopipe.simulation.tracker import Tracker, TrackerConfig, predict, update
 from negopipe.tensors.tree import map_tensors, tensors
+from negopipe.tracking.checkpoint import load_checkpoint, save_checkpoint
 
 TRACKER = TrackerConfig(1.0, 2.0, 0.05)
 TRACKED = PerceptionConfig(0.1, 0.02, 0.2, 0.02, 60.0, 0.2, 0.4, TRACKER)
@@ -114,6 +118,14 @@ def test_headings_are_averaged_across_the_turn() -> None:
     met = update(here, replace(here, yaw=torch.tensor([-3.1])))
     assert float(wrap_angle(met.yaw - torch.pi).abs()) < 1e-5
     assert float(met.yaw_variance) == 0.25
+
+
+def test_a_sensor_without_errors_and_no_process_noise_stay_finite() -> None:
+    exact = Tracker(replace(TRACKER, accel_std_mps2=1e-12, forget_after_s=1e30), DT_S, (0.0, 0.0, 0.0))
+    pose, speed, is_seen = torch.zeros(5, 1, 3), torch.zeros(5, 1), torch.ones(5, 1, dtype=torch.bool)
+    last = track(exact, pose, speed, is_seen)[-1]
+    assert all(field.isfinite().all() for field in tensors(last.estimate))
+    assert last.history.is_seen.all()
 
 
 def test_only_a_vehicle_that_drives_turns() -> None:
@@ -292,6 +304,30 @@ def test_placed_vehicles_are_seen_where_they_are(config: RunConfig) -> None:
     placed = game.simulator.place(world, there)
     assert torch.equal(placed.pose_history[:, 3, :, :2], there.position)
     assert float(errors(game, [placed])[:, :2].abs().max()) < 0.6
+
+
+@pytest.mark.parametrize("tracker", [TRACKER, None])
+def test_a_saved_environment_goes_on_the_same(config: RunConfig, tracker: TrackerConfig | None, tmp_path: Path) -> None:
+    game = with_perception(config, replace(TRACKED, tracker=tracker))
+    first, second = (
+        NegotiationEnv(
+            game,
+            config.reward,
+            (0.0, 6.0),
+            TaskSampler(config.scenario, MIXTURE, torch.Generator().manual_seed(seed)),
+            4,
+        )
+        for seed in (1, 2)
+    )
+    action = torch.tensor([0, 1, 0, 1])
+    for _ in range(10):
+        first.step(action)
+    save_checkpoint(tmp_path / "env.safetensors", first.state_dict(), {})
+    second.load_state_dict(load_checkpoint(tmp_path / "env.safetensors")[0])
+    for _ in range(5):
+        assert torch.equal(first.step(action).observation, second.step(action).observation)
+    for one, other in zip(tensors(first.world), tensors(second.world), strict=True):
+        assert torch.equal(one.nan_to_num(), other.nan_to_num())
 
 
 @pytest.mark.slow
