@@ -14,6 +14,7 @@ from pydantic import model_validator
 from torch import Tensor
 
 from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Memory, Problem, check_times
+from negopipe.planner.braking import BrakingCandidates, BrakingConfig, BrakingSamples
 from negopipe.planner.lateral import LateralCandidates, LateralConfig
 from negopipe.planner.longitudinal import LongitudinalCandidates, LongitudinalConfig, LongitudinalSamples
 from negopipe.planner.prediction import PredictedPath, PredictionConfig, predict
@@ -26,6 +27,9 @@ from negopipe.simulation.scenario import ScenarioConfig, VehicleConfig
 from negopipe.simulation.state import Motion
 from negopipe.tensors.materialize import materialize
 from negopipe.tensors.tree import map_tensors
+
+STANDING_M = 1e-3
+"""Distance that a vehicle which stands may travel by its plan, m: rounding."""
 
 
 @schema
@@ -76,6 +80,8 @@ class CostConfig:
     speed: NonNegativeFloat
     offset: NonNegativeFloat
     bend: NonNegativeFloat
+    hard_braking: NonNegativeFloat
+    closeness: NonNegativeFloat
 
 
 @schema
@@ -84,6 +90,7 @@ class PlannerConfig:
 
     horizon_s: PositiveFloat
     longitudinal: LongitudinalConfig
+    braking: BrakingConfig
     lateral: LateralConfig
     limits: LimitConfig
     clearance: ClearanceConfig
@@ -116,7 +123,8 @@ class PlannerConfig:
         """Memory of one plan of every vehicle in `n_worlds` worlds."""
         n_paths = n_worlds * (1 + scenario.n_social) * self.lateral.n_candidates
         n_met = scenario.n_social * self.n_times(scenario.dt_s)
-        n_checks = n_met * (self.longitudinal.n_candidates + self.n_around(scenario.vehicle)) + self.n_stations
+        n_candidates = self.longitudinal.n_candidates + self.braking.n_candidates
+        n_checks = n_met * (n_candidates + self.n_around(scenario.vehicle)) + self.n_stations
         keys = "scenario.n_social planner.horizon_s scenario.dt_s planner.longitudinal.keep_fractions"
         keys += " planner.lateral.offsets_m planner.clearance.station_m planner.clearance.conflict_station_m"
         return Memory("a plan", n_paths * n_checks * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))
@@ -155,15 +163,17 @@ class FrenetPlanner:
         self.config, self.road, self.vehicle, self.dt_s = config, road, vehicle, dt_s
         self.times = torch.arange(1, config.n_times(dt_s) + 1, device=device) * dt_s
         self.longitudinal = LongitudinalCandidates(config.longitudinal, self.times)
+        self.braking = BrakingCandidates(config.braking, self.times)
         self.lateral = LateralCandidates(config.lateral, road, device)
         self.stations = torch.arange(1, config.n_stations + 1, device=device) * config.clearance.station_m
         self.roadside = Roadside(road, vehicle, _parked_clearance(config.clearance, self.stations))
+        self._slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
         self._around = _stations_around(config, vehicle).to(device)  # [K] m
 
     @property
     def n_combinations(self) -> int:
         """Number of trajectories checked per vehicle and decision."""
-        return self.longitudinal.n_candidates * self.lateral.n_candidates
+        return (self.longitudinal.n_candidates + self.braking.n_candidates) * self.lateral.n_candidates
 
     @property
     def n_around(self) -> int:
@@ -178,19 +188,16 @@ class FrenetPlanner:
         direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
         *fields, direction, desired_speed = materialize(*self.road.to_route(own, direction), direction, desired_speed)
         route = RouteState(*fields)
-        samples = self.longitudinal.sample(route, desired_speed)
         paths = self._paths(route, direction, desired_speed)
-        is_feasible = self._is_drivable(samples, paths, route)
-        is_feasible = is_feasible & (samples.travelled[:, -1] <= paths.free_distance[:, None])
         predicted = predict(self.config.prediction, self.road, other, direction, self.times)
         is_predicted = self.times[:, None] <= horizon.flatten() + self.dt_s / 2  # [T, N]
         is_considered = is_predicted & _flatten(perception.is_seen).transpose(0, 1)[:, None]  # [O, T, N]
-        first, last = self._blocked(route, direction, paths, predicted, other.speed, is_considered)
-        is_feasible = is_feasible & ~_conflicts(samples.travelled, first, last)
-        cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
-        cost, best = torch.where(is_feasible, cost, torch.inf).flatten(0, 1).min(dim=0)
+        depth, at = self._depth(route, direction, paths, predicted, other.speed)
+        blocked = [self._interval(depth - slack, at, is_considered) for slack in self._slacks_m]
+        cost, first_step = self._assess(route, desired_speed, paths, blocked)
+        cost, best = cost.flatten(0, 1).min(dim=0)
         is_full_braking = torch.isinf(cost)
-        following = self._follow(route, direction, samples, paths, best)
+        following = self._follow(route, direction, first_step, paths, best)
         braking = self._brake(route, direction, paths)
         after = RouteState(*(torch.where(is_full_braking, b, f) for b, f in zip(braking, following, strict=True)))
         state = self.road.to_world(after, direction)
@@ -230,6 +237,54 @@ class FrenetPlanner:
         path_per_road_prime = (d_prime * d_pprime - scale * kappa_d_prime) / path_per_road
         return (heading_prime + kappa) / path_per_road, path_per_road, path_per_road_prime
 
+    def _assess(
+        self, route: RouteState, desired_speed: Tensor, paths: Paths, blocked: list[tuple[Tensor, Tensor]]
+    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Costs [L, C, N] of all combinations, inf where one is not feasible.
+
+        Returns with them what the longitudinal candidates are after one step: travelled, speed, accel, each [C, N].
+        """
+        samples = self.longitudinal.sample(route, desired_speed)
+        is_feasible = self._is_drivable(samples, paths, route) & self._is_free(
+            samples.travelled, paths, blocked[0], route
+        )
+        cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
+        cost = torch.where(is_feasible, cost, torch.inf)
+        first_step = tuple(field[:, 0] for field in samples[:3])
+        if self.braking.n_candidates == 0:
+            return cost, first_step
+        stops = self.braking.sample(route, _free_distance(*blocked[0]))
+        stop_cost = self._stop_cost(stops, paths, desired_speed)
+        strict, loose = (self._is_free(stops.travelled, paths, each, route) for each in blocked)
+        if self.config.braking.standing_m is not None:
+            loose = loose | (stops.travelled[:, -1] < self.config.braking.standing_m)
+        extra = torch.where(strict, 0.0, torch.where(loose, self.config.cost.closeness, torch.inf))
+        stop_cost = stop_cost + extra
+        stopping = (stops.travelled[:, 0], stops.speed[:, 0], stops.accel)
+        both = tuple(torch.cat(pair) for pair in zip(first_step, stopping, strict=True))
+        return torch.cat([cost, stop_cost], dim=1), both
+
+    def _is_free(self, travelled: Tensor, paths: Paths, blocked: tuple[Tensor, Tensor], route: RouteState) -> Tensor:
+        """[L, C, N] bool: candidates [C, T, N] (m) end where the path is drivable, and meet no predicted vehicle.
+
+        Who stands meets nobody, where standing is a plan.
+        """
+        is_free = (travelled[:, -1] <= paths.free_distance[:, None]) & ~_conflicts(travelled, *blocked)
+        if self.config.braking.standing_m is not None:
+            is_free = is_free | ((route.s_dot == 0) & (travelled[:, -1] < STANDING_M))
+        return is_free
+
+    def _stop_cost(self, stops: BrakingSamples, paths: Paths, desired_speed: Tensor) -> Tensor:
+        """[L, B, N]: cost of stops; inf where one brakes too hard."""
+        limits, weights, path_per_road = self.config.limits, self.config.cost, paths.path_per_road[:, None]
+        decel = stops.hardest * path_per_road + paths.path_per_road_prime[:, None] * stops.speed.amax(1) ** 2
+        lag = stops.speed - desired_speed
+        cost = paths.cost[:, None] + weights.jerk * stops.jerk_square + weights.speed * lag.square().mean(1)
+        is_hard = (torch.arange(self.braking.n_candidates, device=cost.device) >= self.braking.n_comfortable)[:, None]
+        allowed = torch.where(is_hard, self.config.braking.decel_max_mps2, limits.decel_max_mps2)
+        cost = cost + torch.where(is_hard, weights.hard_braking * decel**2, 0.0)
+        return torch.where(decel <= allowed, cost, torch.inf)
+
     def _is_drivable(self, samples: LongitudinalSamples, paths: Paths, route: RouteState) -> Tensor:
         """[L, C, N] bool: speed, acceleration and jerk stay within the limits along the path at all times."""
         limits = self.config.limits
@@ -248,22 +303,11 @@ class FrenetPlanner:
         lag = samples.speed - desired_speed
         return weights.jerk * samples.jerk.square().mean(1) + weights.speed * lag.square().mean(1)
 
-    def _blocked(
-        self,
-        route: RouteState,
-        direction: Tensor,
-        paths: Paths,
-        predicted: PredictedPath,
-        speed: Tensor,
-        is_considered: Tensor,
+    def _depth(
+        self, route: RouteState, direction: Tensor, paths: Paths, predicted: PredictedPath, speed: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """First and last distance travelled [L, O, T, N] (m) at which a predicted vehicle is in the way.
-
-        The depth of overlap is measured at K stations around the predicted place of the other. It changes by about one
-        metre per metre at most, so a path is free for x metres from a station with depth -x. The blocked interval
-        begins and ends there. Where nothing is in the way, first > last.
-
-        is_considered: [O, T, N] bool, the other is seen and the time lies within the prediction horizon
+        """Depth of overlap [L, K, O, T, N] (m) with predicted vehicles at K stations around them, and the distances
+        travelled [K, O, T, N] (m) to the stations.
         """
         size, clearance = self.vehicle, self.config.clearance
         around = self._around[:, None, None, None]  # [K, O, T, N]
@@ -280,7 +324,16 @@ class FrenetPlanner:
             size.length_m / 2 + clearance.ahead_m,
             size.width_m / 2 + clearance.beside_m + clearance.beside_s * speed[:, None],
         )
-        depth = overlap_depth(own, other)
+        return overlap_depth(own, other), at
+
+    def _interval(self, depth: Tensor, at: Tensor, is_considered: Tensor) -> tuple[Tensor, Tensor]:
+        """First and last distance travelled [L, O, T, N] (m) with an overlap.
+
+        The depth changes by about one metre per metre at most, so a path is free for x metres from a station with depth
+        -x. The blocked interval begins and ends there. Where nothing is in the way, first > last.
+
+        is_considered: [O, T, N] bool, the other is seen and the time lies within the prediction horizon
+        """
         before, after = depth[:, :-1], depth[:, 1:]
         step = self._around[1] - self._around[0]
         entered = at[:-1] + torch.minimum((-before).clamp(min=0), step)
@@ -290,12 +343,12 @@ class FrenetPlanner:
         return first, last
 
     def _follow(
-        self, route: RouteState, direction: Tensor, samples: LongitudinalSamples, paths: Paths, best: Tensor
+        self, route: RouteState, direction: Tensor, first_step: tuple[Tensor, ...], paths: Paths, best: Tensor
     ) -> RouteState:
         """State one step along the chosen combination [N] (flat index over L x C)."""
-        n_longitudinal = self.longitudinal.n_candidates
+        n_longitudinal = len(first_step[0])
         row = (best % n_longitudinal)[None]
-        travelled, speed, accel = (field[:, 0].gather(0, row)[0] for field in samples[:3])
+        travelled, speed, accel = (field.gather(0, row)[0] for field in first_step)
         is_at_rest = speed < 1e-3  # m/s
         speed = torch.where(is_at_rest, 0.0, speed)
         accel = torch.where(is_at_rest, 0.0, accel)
@@ -333,6 +386,11 @@ def _conflicts(travelled: Tensor, first: Tensor, last: Tensor) -> Tensor:
     travelled = travelled[:, None]  # [C, O, T, N]
     within = torch.minimum(travelled - first[:, None], last[:, None] - travelled)  # [L, C, O, T, N]
     return within.amax((2, 3)) > 0
+
+
+def _free_distance(first: Tensor, last: Tensor) -> Tensor:
+    """[N] m: distance to the first place that is ever blocked ahead, on the path on which it is the farthest."""
+    return torch.where(last > 0, first, torch.inf).amin((1, 2)).amax(0)
 
 
 def _flatten(field: Tensor) -> Tensor:
