@@ -17,16 +17,13 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.simulator import Simulator
 from negopipe.simulation.state import Motion
+from negopipe.simulation.waiting_place import waiting_place
 from negopipe.tensors.tree import map_tensors
 
 FREE_M = 1e3
 """Gap of a vehicle without an obstacle ahead, m."""
 LEAST_GAP_M = 0.1
 """Smallest gap by which the model divides, m."""
-FARTHEST_M = 50.0
-"""Length of the search for a waiting place, before the mouth, m."""
-STEP_M = 0.25
-"""Spacing of the waiting places that are tried, m."""
 
 
 @schema
@@ -133,19 +130,6 @@ def waiting_places(simulator: Simulator, stop_s_m: float) -> WaitingPlace:
     return WaitingPlace(_by_direction(simulator, stop_s_m), _by_direction(simulator, 0.0))
 
 
-def waiting_place(simulator: Simulator, latest_s_m: float, direction: float) -> float:
-    """s (m) of the last place on the own route, `latest_s_m` at most, that the other can pass on its route.
-
-    It is -inf where there is none within `FARTHEST_M`.
-    """
-    road, s = simulator.road, torch.arange(latest_s_m, -FARTHEST_M, -STEP_M, device=simulator.road.parked_cars.device)
-    own, zero = torch.full_like(s, direction), torch.zeros_like(s)
-    standing = road.to_world(RouteState(s, zero, zero, *road.route_offset(s, own)), own)
-    waiting = map_tensors(lambda field: field[:, None], standing)
-    is_passable = ~simulator.collisions.stands_on_route(waiting, -own[:, None])[:, 0]
-    return float(s[is_passable].max()) if is_passable.any() else -torch.inf
-
-
 def nearest(a: Hindrance, b: Hindrance) -> Hindrance:
     """The nearer one of two hindrances, world by world."""
     is_a = a.gap_m <= b.gap_m
@@ -160,5 +144,5 @@ def _nearest_of(met: Encounter, is_counted: Tensor, gap_m: Tensor, approaching_m
 
 def _by_direction(simulator: Simulator, latest_s_m: float) -> Tensor:
     """[2] float32: waiting places of vehicles that drive against the line and along it, m."""
-    places = [waiting_place(simulator, latest_s_m, direction) for direction in (-1.0, 1.0)]
+    places = [waiting_place(simulator.collisions, latest_s_m, direction) for direction in (-1.0, 1.0)]
     return torch.tensor(places, device=simulator.road.parked_cars.device)

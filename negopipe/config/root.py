@@ -23,7 +23,7 @@ from negopipe.game.game import CHUNKS
 from negopipe.game.reward import RewardConfig
 from negopipe.learning.learner import AlgorithmConfig
 from negopipe.observation.occupancy_grid import ObservationConfig, history_steps
-from negopipe.planner.frenet import PlannerConfig
+from negopipe.planner.config import PlannerConfig
 from negopipe.policy.actor_critic import PolicyConfig
 from negopipe.policy.size import check_policy, layer_sizes, network_memory
 from negopipe.report.page import ReportConfig

@@ -11,7 +11,8 @@ from torch import Tensor
 from negopipe import environment
 from negopipe.agents.population import Cast, PopulationConfig
 from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
-from negopipe.planner.frenet import FrenetPlanner, PlannerConfig
+from negopipe.planner.config import PlannerConfig
+from negopipe.planner.frenet import FrenetPlanner
 from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
 from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
 from negopipe.simulation.scenario import ScenarioConfig

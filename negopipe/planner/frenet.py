@@ -5,129 +5,30 @@ L lateral candidates, T times, P parked cars, S stations along a path, K station
 last axis of every tensor, so that computations per vehicle run on vector units and no axis has to be moved.
 """
 
-import math
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
-from pydantic import model_validator
 from torch import Tensor
 
-from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Memory, Problem, check_times
-from negopipe.planner.braking import BrakingCandidates, BrakingConfig, BrakingSamples
-from negopipe.planner.lateral import LateralCandidates, LateralConfig
-from negopipe.planner.longitudinal import LongitudinalCandidates, LongitudinalConfig, LongitudinalSamples
-from negopipe.planner.prediction import PredictedPath, PredictionConfig, predict
+from negopipe.planner.braking import BrakingCandidates, BrakingSamples
+from negopipe.planner.config import ClearanceConfig, PlannerConfig
+from negopipe.planner.give_way import GiveWay
+from negopipe.planner.lateral import LateralCandidates
+from negopipe.planner.longitudinal import LongitudinalCandidates, LongitudinalSamples
+from negopipe.planner.prediction import PredictedPath, predict
 from negopipe.planner.roadside import Roadside
-from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
+from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.geometry import Boxes, overlap_depth
-from negopipe.simulation.perception import Perception
+from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.road import Road, RouteState
-from negopipe.simulation.scenario import ScenarioConfig, VehicleConfig
-from negopipe.simulation.state import Motion
+from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.state import Motion, VehicleState
 from negopipe.tensors.materialize import materialize
 from negopipe.tensors.tree import map_tensors
 
 STANDING_M = 1e-3
 """Distance that a vehicle which stands may travel by its plan, m: rounding."""
-
-
-@schema
-class LimitConfig:
-    """Limits of a trajectory; `full_braking_mps2` is the deceleration when no candidate is feasible."""
-
-    speed_max_mps: PositiveFloat
-    accel_max_mps2: PositiveFloat
-    decel_max_mps2: PositiveFloat
-    jerk_max_mps3: PositiveFloat
-    lateral_accel_max_mps2: PositiveFloat
-    curvature_max_1pm: PositiveFloat
-    full_braking_mps2: PositiveFloat
-
-
-@schema
-class ClearanceConfig:
-    """Clearances of planned footprints; the simulator checks collisions without them.
-
-    parked_near_m: clearance to kerbs and parked cars at the vehicle itself. It grows along the path to parked_m, which
-        it reaches parked_full_at_m ahead. A path that was drivable from afar therefore stays drivable from near, small
-        errors included (constraint tightening, Richards & How 2006), and a vehicle can leave every place it stops at
-    beside_s: additional clearance beside a vehicle, per m/s of its speed. A vehicle that waits for a moving one leaves
-        it more room than that needs to creep past a standing one, so a waiting place can be passed
-    """
-
-    parked_m: NonNegativeMetres
-    parked_near_m: NonNegativeMetres
-    parked_full_at_m: PositiveMetres
-    ahead_m: NonNegativeMetres
-    beside_m: NonNegativeMetres
-    beside_s: NonNegativeFloat
-    station_m: PositiveMetres
-    conflict_station_m: PositiveMetres
-
-    @model_validator(mode="after")
-    def _grows(self) -> "ClearanceConfig":
-        if self.parked_near_m > self.parked_m:
-            raise ValueError(f"parked_near_m {self.parked_near_m} must be at most parked_m {self.parked_m}")
-        return self
-
-
-@schema
-class CostConfig:
-    """Weights of the conjoint cost; `conf/planner/frenet.yaml` says what each term is."""
-
-    jerk: NonNegativeFloat
-    speed: NonNegativeFloat
-    offset: NonNegativeFloat
-    bend: NonNegativeFloat
-    hard_braking: NonNegativeFloat
-    closeness: NonNegativeFloat
-
-
-@schema
-class PlannerConfig:
-    """`conf/planner/frenet.yaml` says what each value means."""
-
-    horizon_s: PositiveFloat
-    longitudinal: LongitudinalConfig
-    braking: BrakingConfig
-    lateral: LateralConfig
-    limits: LimitConfig
-    clearance: ClearanceConfig
-    cost: CostConfig
-    prediction: PredictionConfig
-
-    def n_times(self, dt_s: float) -> int:
-        """T, control steps of a plan."""
-        return round(self.horizon_s / dt_s)
-
-    @property
-    def n_stations(self) -> int:
-        """S, points along a path at which it is checked against kerbs and parked cars."""
-        return int(self.limits.speed_max_mps * self.horizon_s / self.clearance.station_m) + 1
-
-    def touching_m(self, vehicle: VehicleConfig) -> float:
-        """Distance at which two footprints with their clearances can touch at all."""
-        clearance, half_length, half_width = self.clearance, vehicle.length_m / 2, vehicle.width_m / 2
-        beside = clearance.beside_m + clearance.beside_s * self.limits.speed_max_mps
-        return math.hypot(half_length, half_width) + math.hypot(half_length + clearance.ahead_m, half_width + beside)
-
-    def n_around(self, vehicle: VehicleConfig) -> int:
-        """K, points around a predicted vehicle at which a path is checked against it."""
-        return math.ceil(2 * self.touching_m(vehicle) / self.clearance.conflict_station_m) + 1
-
-    def check(self, dt_s: float) -> Iterator[Problem]:
-        yield from check_times({"planner.horizon_s": (self.horizon_s,)}, dt_s)
-
-    def memory(self, scenario: ScenarioConfig, n_worlds: int) -> Memory:
-        """Memory of one plan of every vehicle in `n_worlds` worlds."""
-        n_paths = n_worlds * (1 + scenario.n_social) * self.lateral.n_candidates
-        n_met = scenario.n_social * self.n_times(scenario.dt_s)
-        n_candidates = self.longitudinal.n_candidates + self.braking.n_candidates
-        n_checks = n_met * (n_candidates + self.n_around(scenario.vehicle)) + self.n_stations
-        keys = "scenario.n_social planner.horizon_s scenario.dt_s planner.longitudinal.keep_fractions"
-        keys += " planner.lateral.offsets_m planner.clearance.station_m planner.clearance.conflict_station_m"
-        return Memory("a plan", n_paths * n_checks * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))
 
 
 class Paths(NamedTuple):
@@ -167,6 +68,8 @@ class FrenetPlanner:
         self.lateral = LateralCandidates(config.lateral, road, device)
         self.stations = torch.arange(1, config.n_stations + 1, device=device) * config.clearance.station_m
         self.roadside = Roadside(road, vehicle, _parked_clearance(config.clearance, self.stations))
+        collisions = CollisionCheck(road, vehicle, dt_s, other_columns(2, device))
+        self.give_way = GiveWay(config.give_way, collisions, self.times) if config.give_way else None
         self._slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
         self._around = _stations_around(config, vehicle).to(device)  # [K] m
 
@@ -194,7 +97,8 @@ class FrenetPlanner:
         is_considered = is_predicted & _flatten(perception.is_seen).transpose(0, 1)[:, None]  # [O, T, N]
         depth, at = self._depth(route, direction, paths, predicted, other.speed)
         blocked = [self._interval(depth - slack, at, is_considered) for slack in self._slacks_m]
-        cost, first_step = self._assess(route, desired_speed, paths, blocked)
+        rule = self._rule(perception, horizon, route, direction, other)
+        cost, first_step = self._assess(route, desired_speed, paths, blocked, rule)
         cost, best = cost.flatten(0, 1).min(dim=0)
         is_full_braking = torch.isinf(cost)
         following = self._follow(route, direction, first_step, paths, best)
@@ -206,6 +110,23 @@ class FrenetPlanner:
             horizon,
             is_full_braking.reshape(shape),
         )
+
+    def _rule(
+        self, perception: Perception, horizon: Tensor, route: RouteState, direction: Tensor, other: VehicleState
+    ) -> "_Rule | None":
+        """The rule of giving way, for those whose horizon is infinite; None where the planner has none."""
+        give_way = self.give_way
+        if give_way is None:
+            return None
+        is_bound = torch.isinf(horizon.flatten())
+        others = give_way.times_of_others(other, direction, _flatten(perception.is_seen).transpose(0, 1))
+        to_passage = give_way.to_passage(route, direction)
+        free_m = torch.where(is_bound & (to_passage > 0), to_passage, torch.inf)
+
+        def allows(travelled: Tensor, speed: Tensor) -> Tensor:
+            return give_way.allows(travelled, speed, route, direction, others) | ~is_bound
+
+        return _Rule(free_m, allows)
 
     def _paths(self, route: RouteState, direction: Tensor, desired_speed: Tensor) -> Paths:
         coefficients = self.lateral.start(route, direction)
@@ -238,7 +159,12 @@ class FrenetPlanner:
         return (heading_prime + kappa) / path_per_road, path_per_road, path_per_road_prime
 
     def _assess(
-        self, route: RouteState, desired_speed: Tensor, paths: Paths, blocked: list[tuple[Tensor, Tensor]]
+        self,
+        route: RouteState,
+        desired_speed: Tensor,
+        paths: Paths,
+        blocked: list[tuple[Tensor, Tensor]],
+        rule: "_Rule | None",
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Costs [L, C, N] of all combinations, inf where one is not feasible.
 
@@ -249,17 +175,22 @@ class FrenetPlanner:
             samples.travelled, paths, blocked[0], route
         )
         cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
+        if rule is not None:
+            is_feasible = is_feasible & rule.allows(samples.travelled, samples.speed)
         cost = torch.where(is_feasible, cost, torch.inf)
         first_step = tuple(field[:, 0] for field in samples[:3])
         if self.braking.n_candidates == 0:
             return cost, first_step
-        stops = self.braking.sample(route, _free_distance(*blocked[0]))
+        free_m = _free_distance(*blocked[0])
+        stops = self.braking.sample(route, free_m if rule is None else torch.minimum(free_m, rule.free_m))
         stop_cost = self._stop_cost(stops, paths, desired_speed)
         strict, loose = (self._is_free(stops.travelled, paths, each, route) for each in blocked)
         if self.config.braking.standing_m is not None:
             loose = loose | (stops.travelled[:, -1] < self.config.braking.standing_m)
         extra = torch.where(strict, 0.0, torch.where(loose, self.config.cost.closeness, torch.inf))
         stop_cost = stop_cost + extra
+        if rule is not None:
+            stop_cost = torch.where(rule.allows(stops.travelled, stops.speed), stop_cost, torch.inf)
         stopping = (stops.travelled[:, 0], stops.speed[:, 0], stops.accel)
         both = tuple(torch.cat(pair) for pair in zip(first_step, stopping, strict=True))
         return torch.cat([cost, stop_cost], dim=1), both
@@ -379,6 +310,17 @@ class FrenetPlanner:
         all_paths = self.lateral.follow(paths.coefficients, route.s, direction, travelled)
         point = (field.gather(0, chosen[None])[0] for field in all_paths)
         return RouteState(route.s + travelled, speed, accel, *point)
+
+
+class _Rule(NamedTuple):
+    """The rule of giving way in one plan of N vehicles.
+
+    free_m: [N] m, distance to the passage; inf for who is in it or need not give way
+    allows: candidates' `travelled` and `speed` [C, T, N] -> [C, N] bool
+    """
+
+    free_m: Tensor
+    allows: Callable[[Tensor, Tensor], Tensor]
 
 
 def _conflicts(travelled: Tensor, first: Tensor, last: Tensor) -> Tensor:

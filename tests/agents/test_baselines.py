@@ -22,6 +22,7 @@ from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import Task
+from negopipe.simulation.waiting_place import waiting_place
 
 TOGETHER = {"paper", "all"}
 """Options that stand for several."""
@@ -107,8 +108,8 @@ def test_cautious_waits_where_the_other_can_pass_and_goes_on_waiting(
 )
 def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: float, waiting_m: float) -> None:
     simulator = build_game(compose_config([f"scenario={scenario}"])).simulator
-    assert route_following.waiting_place(simulator, -9.0, side) == waiting_m
-    assert route_following.waiting_place(simulator, 0.0, side) < -5.0  # in the corridor nobody can pass
+    assert waiting_place(simulator.collisions, -9.0, side) == waiting_m
+    assert waiting_place(simulator.collisions, 0.0, side) < -5.0  # in the corridor nobody can pass
 
 
 def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:

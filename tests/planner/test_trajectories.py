@@ -12,7 +12,8 @@ from torch import Tensor
 
 from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
-from negopipe.planner.frenet import FrenetPlanner, LimitConfig
+from negopipe.planner.config import LimitConfig
+from negopipe.planner.frenet import FrenetPlanner
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import VehicleState

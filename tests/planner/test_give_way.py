@@ -1,0 +1,151 @@
+"""An infinite horizon: who gives way enters the passage only if it is out before the other could be in, or after it."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from games import draw_tasks, place
+from torch import Tensor
+
+from negopipe.config.root import RunConfig
+from negopipe.envs.gymnasium import compose_config
+from negopipe.game.game import Game, build_game
+from negopipe.simulation.road import RouteState
+from negopipe.simulation.state import EGO, World
+from negopipe.tensors.tree import map_tensors
+
+INF = math.inf
+STREETS = ["narrow_lane", "bent_street", "one_sided"]
+
+
+def built(street: str) -> tuple[RunConfig, Game]:
+    config = compose_config([f"scenario={street}", "planner=consistent_stops"])
+    return config, build_game(config)
+
+
+@pytest.fixture(scope="module")
+def narrow() -> tuple[RunConfig, Game]:
+    return built("narrow_lane")
+
+
+def meet(config: RunConfig, game: Game, s: list[list[float]], speed: list[list[float]]) -> World:
+    """Worlds with vehicles at `s` [E, V] (m) on their routes at `speed` [E, V] (m/s)."""
+    world = game.simulator.reset(draw_tasks(config, len(s)))
+    places, zero = torch.tensor(s), torch.zeros(len(s), len(s[0]))
+    direction = world.task.direction
+    route = RouteState(places, torch.tensor(speed), zero, *game.simulator.road.route_offset(places, direction))
+    return place(world, game.simulator.road.to_world(route, direction))
+
+
+def drive(game: Game, world: World, horizon: Tensor, n_steps: int) -> list[World]:
+    worlds = [world]
+    for _ in range(n_steps):
+        world, _ = game.simulator.step(world, game.plan(game.perceive(world), horizon).state)
+        worlds.append(world)
+    return worlds
+
+
+def rule_of(game: Game, world: World) -> tuple[Tensor, Tensor]:
+    """Earliest entry and latest exit of the other as the ego sees it, [E] s each."""
+    seen = game.perceive(world).of(EGO)
+    other = map_tensors(lambda field: field[:, 0].transpose(0, 1), seen.other)
+    assert game.planner.give_way is not None
+    earliest, latest = game.planner.give_way.times_of_others(
+        other, seen.direction[:, 0], seen.is_seen[:, 0].transpose(0, 1)
+    )
+    return earliest[0], latest[0]
+
+
+def test_the_others_times_are_those_of_its_fastest_and_of_its_present_speed(narrow: tuple[RunConfig, Game]) -> None:
+    config, game = narrow
+    world = meet(config, game, [[-30.0, -28.75], [-30.0, -28.75], [-30.0, 0.0], [-30.0, 21.0]],
+                 [[5.0, 7.0], [5.0, 0.0], [5.0, 3.0], [5.0, 3.0]])  # fmt: skip
+    earliest, latest = rule_of(game, world)
+    # 20 m to the passage at 7 m/s; or from rest, 7^2 / 4.8 = 10.2 m of gaining speed in 2.92 s; inside; out
+    expected = [20 / 7, 7 / 2.4 + (20 - 49 / 4.8) / 7, 0.0]
+    assert earliest[:3].tolist() == pytest.approx(expected, abs=1e-3)
+    assert latest[[0, 2]].tolist() == pytest.approx([(20.75 + 28.75) / 7, 20.75 / 3], abs=1e-3)
+    assert float(latest[1]) > 1e5  # who stands may stand for ever
+    assert float(earliest[3]) > 1e5
+    assert float(latest[3]) < -1e5
+
+
+def test_who_gives_way_goes_first_only_where_the_other_is_far(narrow: tuple[RunConfig, Game]) -> None:
+    config, game = narrow
+    world = meet(config, game, [[-13.0, -60.0], [-13.0, -24.0]], [[5.0, 3.0], [5.0, 3.0]])
+    worlds = drive(game, world, torch.tensor([[INF, 0.0]]).expand(2, 2), 12)
+    s = game.simulator.road.progress(worlds[-1].vehicles.position, worlds[-1].task.direction)
+    assert float(s[0, EGO]) > -3
+    assert float(s[1, EGO]) < -8.6
+    six = drive(game, world, torch.tensor([[6.0, 0.0]]).expand(2, 2), 12)[-1]
+    s = game.simulator.road.progress(six.vehicles.position, six.task.direction)
+    assert float(s[1, EGO]) > -8.6  # constant speed says that there is room
+
+
+@pytest.mark.parametrize("street", STREETS)
+def test_who_gives_way_gets_through_behind_everyone_who_comes(street: str) -> None:
+    config, game = built(street)
+    start = [[-ego, -other] for ego in (12.0, 16.0, 21.0) for other in (9.0, 14.0, 19.0, 25.0)]
+    world = meet(config, game, start, [[4.0, 3.0 + 0.2 * i] for i in range(12)])
+    worlds = drive(game, world, torch.tensor([[INF, 0.0]]).expand(12, 2), config.scenario.episode_steps)
+    assert not worlds[-1].has_collided.any()
+    assert worlds[-1].has_reached.all()
+
+
+def test_mirrored_tasks_give_mirrored_drives(narrow: tuple[RunConfig, Game]) -> None:
+    config, game = narrow
+    start, speed = [[-13.0, -15.0], [-18.0, -24.0]], [[5.0, 4.0], [3.0, 5.0]]
+    worlds = drive(game, meet(config, game, start, speed), torch.tensor([[INF, 2.0]]).expand(2, 2), 60)
+    swapped = meet(config, game, [row[::-1] for row in start], [row[::-1] for row in speed])
+    swapped = replace(swapped, task=replace(swapped.task, desired_speed=swapped.task.desired_speed.flip(1)))
+    mirrored = drive(game, swapped, torch.tensor([[2.0, INF]]).expand(2, 2), 60)
+    for one, other in zip(worlds, mirrored, strict=True):
+        torch.testing.assert_close(one.vehicles.position, -other.vehicles.position.flip(1), atol=2e-3, rtol=0)
+
+
+def test_three_others_are_all_let_through() -> None:
+    config = compose_config(["scenario.n_social=3", "planner=consistent_stops"])
+    game = build_game(config)
+    world = meet(config, game, [[-14.0, -12.0, -24.0, -36.0]], [[4.0, 5.0, 5.0, 5.0]])
+    worlds = drive(game, world, torch.tensor([[INF, 0.0, 0.0, 0.0]]), config.scenario.episode_steps)
+    assert not worlds[-1].has_collided.any()
+    assert worlds[-1].has_reached.all()
+
+
+def test_finite_horizons_know_no_rule(narrow: tuple[RunConfig, Game]) -> None:
+    config, game = narrow
+    without = build_game(compose_config(["planner=consistent_stops", "planner.give_way=null"]))
+    world, horizon = game.simulator.reset(draw_tasks(config, 16)), torch.tensor([[6.0, 2.0], [0.0, 4.0]]).repeat(8, 1)
+    for _ in range(20):
+        motion = game.plan(game.perceive(world), horizon)
+        again = without.plan(without.perceive(world), horizon)
+        assert torch.equal(motion.state.position, again.state.position)
+        world, _ = game.simulator.step(world, motion.state)
+
+
+def test_a_batch_equals_single_worlds_and_compiled_equals_eager(narrow: tuple[RunConfig, Game]) -> None:
+    config, game = narrow
+    compiled = build_game(config, "cpu", is_compiled=True)
+    world, horizon = game.simulator.reset(draw_tasks(config, 8)), torch.tensor([[INF, 2.0], [4.0, INF]]).repeat(4, 1)
+    for step in range(24):
+        together = game.plan(game.perceive(world), horizon)
+        if step % 6 == 0:
+            alone = game.plan(game.perceive(map_tensors(lambda f: f[5:6], world)), horizon[5:6])
+            rows = [
+                (alone, map_tensors(lambda f: f[5:6], together)),
+                (compiled.plan(game.perceive(world), horizon), together),
+            ]
+            for a, b in rows:
+                states = (a.state, b.state)
+                map_tensors(lambda x, y: torch.testing.assert_close(x, y, atol=1e-4, rtol=1e-4) or x, *states)
+        world, _ = game.simulator.step(world, together.state)
+
+
+@pytest.mark.parametrize("option", ["margin_s=4.0", "accel_mps2=0.1", "speed_max_mps=3.0"])
+def test_options_act(narrow: tuple[RunConfig, Game], option: str) -> None:
+    config, game = narrow
+    other = build_game(compose_config(["planner=consistent_stops", f"planner.give_way.{option}"]))
+    world = meet(config, game, [[-13.0, -14.0 - 1.5 * i] for i in range(32)], [[5.0, 2.5]] * 32)
+    first, second = (drive(g, world, torch.tensor([[INF, 6.0]]).expand(32, 2), 8)[-1] for g in (game, other))
+    assert float((first.vehicles.position - second.vehicles.position)[:, EGO].abs().max()) > 0.5
