@@ -45,6 +45,7 @@ class BrakingConfig:
     """Stops within the limits of comfort, and harder ones that cost more.
 
     decel_max_mps2: largest deceleration of a hard stop
+    room_m: drivable distance ahead of the place of rest, so that the vehicle can leave it; less costs as slack does
     slack_m: distance by which a stop may come closer to another vehicle than the clearances ask
     standing_m: distance to rest within which a vehicle may stop wherever it is; null = not even one at rest
     """
@@ -52,6 +53,7 @@ class BrakingConfig:
     comfortable: StopConfig
     hard: StopConfig
     decel_max_mps2: PositiveFloat
+    room_m: NonNegativeMetres
     slack_m: NonNegativeMetres
     standing_m: NonNegativeMetres | None
 

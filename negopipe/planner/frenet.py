@@ -23,7 +23,7 @@ from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import VehicleConfig
-from negopipe.simulation.state import Motion, VehicleState
+from negopipe.simulation.state import AT_REST_MPS, Motion, VehicleState
 from negopipe.tensors.materialize import materialize
 from negopipe.tensors.tree import map_tensors
 
@@ -187,7 +187,8 @@ class FrenetPlanner:
         strict, loose = (self._is_free(stops.travelled, paths, each, route) for each in blocked)
         if self.config.braking.standing_m is not None:
             loose = loose | (stops.travelled[:, -1] < self.config.braking.standing_m)
-        extra = torch.where(strict, 0.0, torch.where(loose, self.config.cost.closeness, torch.inf))
+        has_room = stops.travelled[:, -1] + self.config.braking.room_m <= paths.free_distance[:, None]
+        extra = torch.where(strict & has_room, 0.0, torch.where(loose, self.config.cost.closeness, torch.inf))
         stop_cost = stop_cost + extra
         if rule is not None:
             stop_cost = torch.where(rule.allows(stops.travelled, stops.speed), stop_cost, torch.inf)
@@ -206,7 +207,7 @@ class FrenetPlanner:
         return is_free
 
     def _stop_cost(self, stops: BrakingSamples, paths: Paths, desired_speed: Tensor) -> Tensor:
-        """[L, B, N]: cost of stops; inf where one brakes too hard."""
+        """[L, B, N]: cost of stops; inf where one brakes too hard or is not over within the plan."""
         limits, weights, path_per_road = self.config.limits, self.config.cost, paths.path_per_road[:, None]
         decel = stops.hardest * path_per_road + paths.path_per_road_prime[:, None] * stops.speed.amax(1) ** 2
         lag = stops.speed - desired_speed
@@ -214,7 +215,8 @@ class FrenetPlanner:
         is_hard = (torch.arange(self.braking.n_candidates, device=cost.device) >= self.braking.n_comfortable)[:, None]
         allowed = torch.where(is_hard, self.config.braking.decel_max_mps2, limits.decel_max_mps2)
         cost = cost + torch.where(is_hard, weights.hard_braking * decel**2, 0.0)
-        return torch.where(decel <= allowed, cost, torch.inf)
+        is_over = stops.speed[:, -1] < AT_REST_MPS / 10  # within the plan: nobody creeps on for a minute
+        return torch.where((decel <= allowed) & is_over, cost, torch.inf)
 
     def _is_drivable(self, samples: LongitudinalSamples, paths: Paths, route: RouteState) -> Tensor:
         """[L, C, N] bool: speed, acceleration and jerk stay within the limits along the path at all times."""

@@ -22,7 +22,7 @@ NONE = StopConfig([], [], [], 8.0)
 
 
 def stops(group: StopConfig, times: Tensor = TIMES) -> BrakingCandidates:
-    return BrakingCandidates(BrakingConfig(group, NONE, 7.0, 0.0, None), times)
+    return BrakingCandidates(BrakingConfig(group, NONE, 7.0, 0.0, 0.0, None), times)
 
 
 def states(seed: int = 0) -> RouteState:
@@ -138,7 +138,8 @@ def test_yielding_begins_without_an_emergency(stopping_config: RunConfig, stoppi
 
 
 OPTIONS = [
-    "planner.braking.slack_m=0.0", "planner.braking.standing_m=null", "planner.braking.hard.decels_mps2=[6.9]",
+    "planner.braking.slack_m=0.0", "planner.braking.room_m=9.0",
+    "planner.braking.standing_m=null", "planner.braking.hard.decels_mps2=[6.9]",
     "planner.braking.comfortable.margins_m=[2.0]", "planner.braking.comfortable.jerk_mps3=3.0",
     "planner.braking.comfortable.decels_mps2=[]", "planner.braking.comfortable.positions_m=[-8.0]",
     "planner.cost.hard_braking=0.0", "planner.cost.closeness=0.0",
