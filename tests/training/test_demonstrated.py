@@ -61,7 +61,7 @@ def test_the_policy_is_shown_what_it_would_see(shown_config: RunConfig, shown_ga
         int(n or 1) for text in table["horizons"] for _, _, n in (run.partition("x") for run in text.split())
     )
     assert len(shown.action) == len(shown.observation) == n_decisions
-    tasks = demonstrated_tasks(shown_config, shown.config, DEVICE)["push"]
+    tasks = demonstrated_tasks(shown_config, shown.config, shown_game)["push"]
     world = shown_game.simulator.reset(tasks)
     assert torch.equal(shown.observation[:3], shown_game.see(world))
     horizon = world.horizons(torch.tensor(shown_config.policy.horizons_s)[shown.action[:3]])
