@@ -43,7 +43,8 @@ def check(planner: FrenetPlanner, x: Situation) -> Checked:
     paths = planner._paths(x.route, x.direction, x.desired_speed)
     predicted = predict(planner.config.prediction, planner.road, x.other, x.direction, planner.times)
     counts = (planner.times[:, None] <= x.horizon + planner.dt_s / 2)[None]
-    stretches = planner._blocked(x.route, x.direction, paths, predicted, x.other.speed, counts)
+    depth, at = planner._depth(x.route, x.direction, paths, predicted, x.other.speed)
+    stretches = planner._interval(depth, at, counts)
     is_drivable = planner._is_drivable(samples, paths, x.route)
     is_forward = (samples.speed.amin(1) >= -0.05).expand_as(is_drivable)
     return Checked(
