@@ -70,7 +70,7 @@ def test_the_policy_is_shown_what_it_would_see(shown_config: RunConfig, shown_ga
 
 def test_its_tasks_are_training_tasks_and_not_held_out(shown_config: RunConfig, shown_game: Game) -> None:
     assert shown_config.curriculum.demonstrations is not None
-    for name, tasks in demonstrated_tasks(shown_config, shown_config.curriculum.demonstrations, DEVICE).items():
+    for name, tasks in demonstrated_tasks(shown_config, shown_config.curriculum.demonstrations, shown_game).items():
         held_out = held_out_tasks(shown_config, shown_game, name).start_distance
         assert not torch.isin(tasks.start_distance[:, 1:], held_out[:, 1:]).any()
         low, high = shown_config.curriculum.stages[-1].families[name].start_distance_m
