@@ -17,7 +17,6 @@ from negopipe.stages.evaluate import held_out_tasks
 from negopipe.training.demonstration_search import demonstrated_tasks, demonstrations
 
 SHOWN = "curriculum.demonstrations={n_tasks: 3, population: 2, rounds: 2, n_decisions: 16, weight: 1.0, until: 0.6}"
-DEVICE = torch.device("cpu")
 
 
 @pytest.fixture(scope="module", autouse=True)
