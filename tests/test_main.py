@@ -78,8 +78,8 @@ def test_help_names_the_experiments_and_needs_no_torch() -> None:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["planner.foo=1"], "planner.foo is not a known key, allowed: clearance, cost, horizon_s, "),
-        (["+planner.foo=1"], "planner.foo is not a known key, allowed: clearance, cost, horizon_s, "),
+        (["planner.foo=1"], "planner.foo is not a known key, allowed: braking, clearance, cost, "),
+        (["+planner.foo=1"], "planner.foo is not a known key, allowed: braking, clearance, cost, "),
         (["sede=1"], "sede is not a known key, did you mean seed? allowed: algorithm, behaviour_map, "),
         (["+sede=1"], "sede is not a known key, did you mean seed? allowed: algorithm, behaviour_map, "),
         (["planner.horizon_s=-1.0"], "planner.horizon_s must be greater than 0, got -1.0"),
@@ -287,6 +287,7 @@ print(json.dumps(codes))
 when its stage runs; then they get the signal that their seed is the number of."""
 
 
+@pytest.mark.slow
 def test_four_processes_start_at_once_and_end_in_four_ways(tmp_path: Path) -> None:
     call = [sys.executable, "-c", FOUR_STARTS]
     result = subprocess.run(call, capture_output=True, text=True, check=True, cwd=tmp_path)

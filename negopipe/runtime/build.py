@@ -57,7 +57,7 @@ def with_learned(game: Game, config: "RunConfig", own: ActorCritic | None) -> Ga
     for index, driver in game.cast.learned.items():
         policy = own if isinstance(driver, SelfDriver) else load_policy(driver.checkpoint, config)
         if policy is not None:
-            policy = policy.to(device_of(config))
+            policy = policy.to(game.planner.times.device)
             learned[index] = Learned(policy, config.policy.horizons_s, driver.action == "sample")
     return with_policies(game, learned)
 

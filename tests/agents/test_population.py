@@ -29,7 +29,7 @@ from negopipe.tensors.tree import map_tensors, named_tensors
 
 RULES = ("idm", "cautious", "give_way", "direction_first")
 EVERYONE = ("planner", "any_horizon", "undecided", "late", "distracted", *RULES)
-SHORT = "scenario.episode_steps=50"
+SHORT = "scenario.episode_steps=40"
 
 
 def config_with(*drivers: str, **values: object) -> RunConfig:
@@ -77,14 +77,14 @@ def test_every_vehicle_has_a_driver_of_its_own() -> None:
 def test_mixed_drivers_drive_as_each_alone() -> None:
     config = config_with(*EVERYONE)
     game = build_game(config)
-    tasks = tasks_of(config, game, 54)
+    tasks = tasks_of(config, game, 36)
     mixed = drive(config, game, "fixed_4", tasks)
     for index, name in enumerate(EVERYONE):
         which = (tasks.casting.driver[:, 1] == index).nonzero()[:, 0].numpy()
         assert len(which) > 0, name
         alone = config_with(name)
         own_game = build_game(alone)
-        trace = drive(alone, own_game, "fixed_4", tasks_of(alone, own_game, 54))
+        trace = drive(alone, own_game, "fixed_4", tasks_of(alone, own_game, 36))
         expected, got = rows(trace, which), rows(mixed, which)
         assert (got.pop("driver")[:, 1] == name).all()
         for field, values in got.items():

@@ -84,7 +84,7 @@ def test_outcomes_do_not_depend_on_batch_size_or_order(config: RunConfig, game: 
     in_parts = drive(config, game, map_tensors(lambda field: field[order], task), 6.0, 4)
     for name, axis in EPISODE_AXIS.items():
         a, b = np.take(getattr(one_batch, name), order.numpy(), axis), getattr(in_parts, name)
-        if a.dtype == bool or a.dtype.kind == "i":
+        if a.dtype.kind in "biU":
             assert np.array_equal(a, b), name
         else:
             assert np.allclose(a, b, atol=1e-3, equal_nan=True), name

@@ -162,6 +162,7 @@ def test_options_of_stops_act(stopping_config: RunConfig, stopping: Game, option
     assert n_different > 0
 
 
+@pytest.mark.slow
 def test_a_batch_equals_single_worlds_and_compiled_equals_eager(stopping_config: RunConfig, stopping: Game) -> None:
     world = stopping.simulator.reset(draw_tasks(stopping_config, 16))
     pairs = torch.cartesian_prod(torch.tensor([0.0, 2.0, 4.0, 6.0]), torch.tensor([0.0, 2.0, 4.0, 6.0]))

@@ -49,6 +49,7 @@ def test_a_process_that_is_killed_is_an_error() -> None:
         side_by_side([lambda: os.kill(os.getpid(), signal.SIGKILL), lambda: None], 2, lambda _: None)
 
 
+@pytest.mark.slow
 def test_what_was_not_compiled_before_is_compiled_by_the_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

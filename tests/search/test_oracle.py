@@ -67,6 +67,7 @@ def test_no_round_makes_it_worse(found: list[Sequences], rollouts: Rollouts, tas
     assert (found[-1].score > found[0].score).any()
 
 
+@pytest.mark.slow
 def test_same_seed_same_result(found: list[Sequences], rollouts: Rollouts, tasks: Task) -> None:
     random = torch.Generator().manual_seed(0)
     again = improve(rollouts, tasks, found[0], 4, random)
@@ -113,6 +114,7 @@ class Held(Rollouts):
         return replace(played, actions=actions, n_steps=n_decisions)
 
 
+@pytest.mark.slow
 def test_it_finds_the_best_of_all_sequences(config: RunConfig, game: Game, tasks: Task) -> None:
     rollouts = Held(config, game)
     every = torch.tensor(list(product(range(4), repeat=3)))

@@ -83,6 +83,7 @@ def timing(**changes: Any) -> BenchmarkConfig:
     return replace(compose_config(TINY).benchmark, **changes)
 
 
+@pytest.mark.slow
 def test_all_figures_are_written_under_their_names(
     tiny: RunConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -121,6 +121,7 @@ def test_the_same_command_repeats_nothing(outputs: Path) -> None:
         assert connection.execute("SELECT status FROM runs").fetchall() == [("FINISHED",)]
 
 
+@pytest.mark.slow
 def test_another_experiment_takes_the_training_over(outputs: Path) -> None:
     arguments = ("+experiment=smoke", f"outputs={outputs}", "n_threads=1", "name=other", "stages=[train]")
     done = negopipe(*arguments, "evaluation.leading_setting=push")
@@ -139,6 +140,7 @@ def test_another_experiment_takes_the_training_over(outputs: Path) -> None:
         assert connection.execute(query).fetchall() == [(6,)] * 3
 
 
+@pytest.mark.slow
 def test_any_episode_can_be_played_again(outputs: Path) -> None:
     done = negopipe(
         "+experiment=smoke", f"outputs={outputs}", "n_threads=1", "stages=[replay]", "episode=push/adaptive/2"

@@ -76,6 +76,7 @@ def test_it_ends_as_if_it_had_never_been_killed(
     assert not (tmp_path / "snapshots").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", OTHERS)
 def test_so_does_every_algorithm(tmp_path: Path, algorithm: str) -> None:
     changed = (f"algorithm={algorithm}", *OTHERS[algorithm])
@@ -84,6 +85,7 @@ def test_so_does_every_algorithm(tmp_path: Path, algorithm: str) -> None:
     pd.testing.assert_frame_equal(history, whole[1], check_exact=True)
 
 
+@pytest.mark.slow
 def test_so_does_a_stage_that_ends_early(tmp_path: Path) -> None:
     whole, (checkpoint, history) = (drive(tmp_path / f"{len(d)}", *KFAC, *EARLY, deaths=d) for d in ((), (2, 3)))
     assert checkpoint == whole[0]
