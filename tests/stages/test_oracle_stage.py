@@ -101,6 +101,7 @@ def test_an_oracle_that_is_none_is_named(tmp_path: Path) -> None:
         read_oracle(str(tmp_path / "oracle.csv"))
 
 
+@pytest.mark.slow
 def test_what_comes_with_negopipe_is_driven_on_its_tasks(tmp_path: Path) -> None:
     evaluated(with_its_oracle(Path("pretrained"), "scenario.episode_steps=128"), tmp_path)
     table = pd.read_csv(tmp_path / "episodes.csv").query("planner == 'oracle'").reset_index()
@@ -112,6 +113,7 @@ def test_what_comes_with_negopipe_is_driven_on_its_tasks(tmp_path: Path) -> None
         assert rows["reward"].tolist() == pytest.approx(of_setting["reward"].tolist())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "other", ["scenario.road.corridor_length_m=11.0", "evaluation.task_seed=1", "scenario.episode_steps=40"]
 )
