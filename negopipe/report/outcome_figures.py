@@ -132,7 +132,7 @@ def _rates(axis: Axes, rate: pd.DataFrame) -> None:
     for (row, column), value in np.ndenumerate(rate.to_numpy()):
         text = "" if np.isnan(value) else f"{value:.0f}"
         axis.text(column, row, text, ha="center", va="center", color="white" if value > 75 else INK, fontsize=8)
-    axis.set_xticks(range(rate.shape[1]), [_opponent_text(name) for name in rate.columns])
+    axis.set_xticks(range(rate.shape[1]), [_opponent_text(name).replace("_", "\n") for name in rate.columns])
     axis.tick_params(length=0)
     axis.spines[:].set_visible(False)
 
