@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
 from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game
+from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import FamilyConfig, TaskSampler
 from negopipe.simulation.state import Task, VehicleState, World
 from negopipe.tensors.tree import map_tensors
@@ -49,3 +51,20 @@ def pass_through(game: Game, world: World, wanted: VehicleState) -> World:
 
 def draw_tasks(config: RunConfig, n: int, seed: int = 0) -> Task:
     return TaskSampler(config.scenario, MIXTURE, torch.Generator().manual_seed(seed)).draw(n)
+
+
+def meet(config: RunConfig, game: Game, s: list[list[float]], speed: list[list[float]]) -> World:
+    """Worlds with vehicles at `s` [E, V] (m) on their routes at `speed` [E, V] (m/s)."""
+    world = game.simulator.reset(draw_tasks(config, len(s)))
+    places, zero = torch.tensor(s), torch.zeros(len(s), len(s[0]))
+    direction = world.task.direction
+    route = RouteState(places, torch.tensor(speed), zero, *game.simulator.road.route_offset(places, direction))
+    return place(world, game.simulator.road.to_world(route, direction))
+
+
+def drive(game: Game, world: World, horizon: Tensor, n_steps: int) -> list[World]:
+    worlds = [world]
+    for _ in range(n_steps):
+        world, _ = game.simulator.step(world, game.plan(game.perceive(world), horizon).state)
+        worlds.append(world)
+    return worlds

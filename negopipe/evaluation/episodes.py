@@ -195,7 +195,7 @@ def _pad(decisions: Tensor, n_missing: int) -> Tensor:
 def _stands_nose_to_nose(speed: Tensor, world: World, game: Game) -> Tensor:
     """[E] bool: at the end the ego and an oncoming vehicle that it has not passed have been at rest for 5 s."""
     n_steps = round(DEADLOCK_S / game.simulator.scenario.dt_s)
-    is_at_rest = (speed[-n_steps:] < AT_REST_MPS).all(0)
+    is_at_rest = (speed[-n_steps:].abs() < AT_REST_MPS).all(0)
     s = game.simulator.road.progress(world.vehicles.position, world.task.direction[:, :1])
     is_ahead = s > s[:, :1]
     social = is_at_rest & is_ahead & (world.task.direction != world.task.direction[:, :1])

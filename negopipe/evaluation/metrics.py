@@ -23,7 +23,7 @@ def suspensions(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     Returns the count [E] int64 and the time [E] float64, s. The state after a decision stands for that
     decision's dt.
     """
-    speed = trace.speed_mps[:, :, EGO]
+    speed = np.abs(trace.speed_mps[:, :, EGO])
     reached = trace.reached_step[:, EGO]
     last_step = np.where(reached >= 0, np.minimum(reached, trace.n_steps), trace.n_steps)
     has_moved = speed[0] > MOVING_MPS

@@ -76,7 +76,7 @@ def _avoidable_by(trace: Trace, episode: int, vehicle: VehicleConfig, braking_mp
     other = 1 + is_hit.index(True)
     own, its = ((pose[:, agent], speed[:, agent]) for agent in (EGO, other))
     by_ego, by_social = (
-        driven[0][1][0] > AT_REST_MPS and not _hits_braking(*driven, trace.dt_s, braking_mps2, vehicle)
+        abs(driven[0][1][0]) > AT_REST_MPS and not _hits_braking(*driven, trace.dt_s, braking_mps2, vehicle)
         for driven in ((own, its), (its, own))
     )
     return {(True, True): "both", (True, False): "ego", (False, True): "social"}.get((by_ego, by_social), "nobody")
@@ -88,7 +88,7 @@ _Driven = tuple[np.ndarray, np.ndarray]
 
 def _hits_braking(brakes: _Driven, other: _Driven, dt_s: float, braking_mps2: float, vehicle: VehicleConfig) -> bool:
     """A braking vehicle touches the other before it has come to rest."""
-    start_mps = brakes[1][0]
+    start_mps = abs(brakes[1][0])
     times = np.arange(0.0, start_mps / braking_mps2, dt_s)
     path, its = (_straight_on(*driven, dt_s, len(times)) for driven in (brakes, other))
     driven = np.concatenate([[0.0], np.hypot(*np.diff(path[:, :2], axis=0).T).cumsum()])

@@ -84,7 +84,11 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     """The game of a configuration; nothing in it depends on a task."""
     scenario, observation = config.scenario, config.observation
     sensor = Sensor(
-        config.perception, scenario.dt_s, history_steps(observation, scenario.dt_s), config.population.is_attentive
+        config.perception,
+        scenario.dt_s,
+        history_steps(observation, scenario.dt_s),
+        config.population.is_attentive,
+        config.planner.lowest_speed_mps,
     )
     simulator = Simulator(scenario, sensor, build_dynamics(config.dynamics, scenario.dt_s), device)
     frenet = FrenetPlanner(config.planner, simulator.road, scenario.vehicle, scenario.dt_s, device)

@@ -11,6 +11,7 @@ from negopipe.planner.give_way import GiveWayConfig
 from negopipe.planner.lateral import LateralConfig
 from negopipe.planner.longitudinal import LongitudinalConfig
 from negopipe.planner.prediction import PredictionConfig
+from negopipe.planner.reversing import ReversingConfig
 from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.scenario import ScenarioConfig, VehicleConfig
 
@@ -65,6 +66,7 @@ class CostConfig:
     bend: NonNegativeFloat
     hard_braking: NonNegativeFloat
     closeness: NonNegativeFloat
+    lingering: NonNegativeFloat
 
 
 @schema
@@ -72,17 +74,24 @@ class PlannerConfig:
     """`conf/planner/frenet.yaml` says what each value means.
 
     give_way: null = an infinite prediction horizon is one of the whole plan
+    reversing: null = nobody drives backwards
     """
 
     horizon_s: PositiveFloat
     longitudinal: LongitudinalConfig
     braking: BrakingConfig
     give_way: GiveWayConfig | None
+    reversing: ReversingConfig | None
     lateral: LateralConfig
     limits: LimitConfig
     clearance: ClearanceConfig
     cost: CostConfig
     prediction: PredictionConfig
+
+    @property
+    def lowest_speed_mps(self) -> float:
+        """Lowest speed of a vehicle, m/s; negative where vehicles may drive backwards."""
+        return -self.reversing.speed_mps if self.reversing else 0.0
 
     def n_times(self, dt_s: float) -> int:
         """T, control steps of a plan."""

@@ -14,9 +14,11 @@ from torch import Tensor
 from negopipe.planner.braking import BrakingCandidates, BrakingSamples
 from negopipe.planner.config import ClearanceConfig, PlannerConfig
 from negopipe.planner.give_way import GiveWay
-from negopipe.planner.lateral import LateralCandidates
+from negopipe.planner.lateral import LateralCandidates, path_shape
+from negopipe.planner.lingering import Lingering
 from negopipe.planner.longitudinal import LongitudinalCandidates, LongitudinalSamples
 from negopipe.planner.prediction import PredictedPath, predict
+from negopipe.planner.reversing import Reversing
 from negopipe.planner.roadside import Roadside
 from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.geometry import Boxes, overlap_depth
@@ -24,6 +26,7 @@ from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import AT_REST_MPS, Motion, VehicleState
+from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.materialize import materialize
 from negopipe.tensors.tree import map_tensors
 
@@ -68,10 +71,23 @@ class FrenetPlanner:
         self.lateral = LateralCandidates(config.lateral, road, device)
         self.stations = torch.arange(1, config.n_stations + 1, device=device) * config.clearance.station_m
         self.roadside = Roadside(road, vehicle, _parked_clearance(config.clearance, self.stations))
-        collisions = CollisionCheck(road, vehicle, dt_s, other_columns(2, device))
-        self.give_way = GiveWay(config.give_way, collisions, self.times) if config.give_way else None
+        self.give_way, self.reversing, self.lingering = self._rules(device)
         self._slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
         self._around = _stations_around(config, vehicle).to(device)  # [K] m
+
+    def _rules(self, device: torch.device | str) -> tuple[GiveWay | None, Reversing | None, Lingering | None]:
+        """The rules at a passage; None where the planner has none."""
+        config = self.config
+        if config.give_way is None and config.reversing is None and not config.cost.lingering:
+            return None, None, None
+        collisions = CollisionCheck(self.road, self.vehicle, self.dt_s, other_columns(2, device))
+        passage = Passage.of(collisions)
+        limits = (config.clearance.parked_near_m, config.limits.curvature_max_1pm, config.clearance.station_m)
+        return (
+            GiveWay(config.give_way, self.road, passage, self.times) if config.give_way else None,
+            Reversing(config.reversing, collisions, passage, limits) if config.reversing else None,
+            Lingering(self.road, passage, float(self.times[-1])) if config.cost.lingering else None,
+        )
 
     @property
     def n_combinations(self) -> int:
@@ -91,19 +107,14 @@ class FrenetPlanner:
         direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
         *fields, direction, desired_speed = materialize(*self.road.to_route(own, direction), direction, desired_speed)
         route = RouteState(*fields)
-        paths = self._paths(route, direction, desired_speed)
-        predicted = predict(self.config.prediction, self.road, other, direction, self.times)
-        is_predicted = self.times[:, None] <= horizon.flatten() + self.dt_s / 2  # [T, N]
-        is_considered = is_predicted & _flatten(perception.is_seen).transpose(0, 1)[:, None]  # [O, T, N]
-        depth, at = self._depth(route, direction, paths, predicted, other.speed)
-        blocked = [self._interval(depth - slack, at, is_considered) for slack in self._slacks_m]
-        rule = self._rule(perception, horizon, route, direction, other)
-        cost, first_step = self._assess(route, desired_speed, paths, blocked, rule)
-        cost, best = cost.flatten(0, 1).min(dim=0)
-        is_full_braking = torch.isinf(cost)
-        following = self._follow(route, direction, first_step, paths, best)
-        braking = self._brake(route, direction, paths)
-        after = RouteState(*(torch.where(is_full_braking, b, f) for b, f in zip(braking, following, strict=True)))
+        is_seen = _flatten(perception.is_seen).transpose(0, 1)  # [O, N]
+        forwards = route._replace(s_dot=route.s_dot.clamp(min=0))
+        after, is_full_braking = self._ahead(forwards, direction, desired_speed, horizon.flatten(), other, is_seen)
+        if self.reversing is not None:
+            others = self.reversing.others(other, direction, is_seen)
+            reverses, back = self.reversing.plan(route, direction, horizon.flatten(), after, others)
+            after = RouteState(*(torch.where(reverses, b, a) for b, a in zip(back, after, strict=True)))
+            is_full_braking = is_full_braking & ~reverses
         state = self.road.to_world(after, direction)
         return Motion(
             map_tensors(lambda field: field.reshape(*shape, *field.shape[1:]), state),
@@ -111,15 +122,40 @@ class FrenetPlanner:
             is_full_braking.reshape(shape),
         )
 
+    def _ahead(
+        self,
+        route: RouteState,
+        direction: Tensor,
+        desired_speed: Tensor,
+        horizon: Tensor,
+        other: VehicleState,
+        is_seen: Tensor,
+    ) -> tuple[RouteState, Tensor]:
+        """State one step forwards along the best trajectory, and whether it is full braking; fields [N]."""
+        paths = self._paths(route, direction, desired_speed)
+        predicted = predict(self.config.prediction, self.road, other, direction, self.times)
+        is_considered = (self.times[:, None] <= horizon + self.dt_s / 2) & is_seen[:, None]  # [O, T, N]
+        depth, at = self._depth(route, direction, paths, predicted, other.speed.abs())
+        blocked = [self._interval(depth - slack, at, is_considered) for slack in self._slacks_m]
+        rule = self._rule(horizon, route, direction, other, is_seen)
+        lingering_cost = self._lingering_cost(route, direction, horizon, other, is_seen)
+        cost, first_step = self._assess(route, desired_speed, paths, blocked, rule, lingering_cost)
+        cost, best = cost.flatten(0, 1).min(dim=0)
+        is_full_braking = torch.isinf(cost)
+        following = self._follow(route, direction, first_step, paths, best)
+        braking = self._brake(route, direction, paths)
+        after = RouteState(*(torch.where(is_full_braking, b, f) for b, f in zip(braking, following, strict=True)))
+        return after, is_full_braking
+
     def _rule(
-        self, perception: Perception, horizon: Tensor, route: RouteState, direction: Tensor, other: VehicleState
+        self, horizon: Tensor, route: RouteState, direction: Tensor, other: VehicleState, is_seen: Tensor
     ) -> "_Rule | None":
         """The rule of giving way, for those whose horizon is infinite; None where the planner has none."""
         give_way = self.give_way
         if give_way is None:
             return None
-        is_bound = torch.isinf(horizon.flatten())
-        others = give_way.times_of_others(other, direction, _flatten(perception.is_seen).transpose(0, 1))
+        is_bound = torch.isinf(horizon)
+        others = give_way.times_of_others(other, direction, is_seen)
         to_passage = give_way.to_passage(route, direction)
         free_m = torch.where(is_bound & (to_passage > 0), to_passage, torch.inf)
 
@@ -128,12 +164,22 @@ class FrenetPlanner:
 
         return _Rule(free_m, allows)
 
+    def _lingering_cost(
+        self, route: RouteState, direction: Tensor, horizon: Tensor, other: VehicleState, is_seen: Tensor
+    ) -> Callable[[Tensor, Tensor], Tensor] | None:
+        """Function from candidates' `travelled` and `speed` [C, T, N] to a cost [C, N]; None where nothing costs."""
+        lingering, weight = self.lingering, self.config.cost.lingering
+        if lingering is None:
+            return None
+        is_met = lingering.is_met(route, direction, horizon, other, is_seen)
+        return lambda travelled, speed: weight * lingering.lingers(travelled, speed, route, direction, is_met)
+
     def _paths(self, route: RouteState, direction: Tensor, desired_speed: Tensor) -> Paths:
         coefficients = self.lateral.start(route, direction)
         at = self.stations[:, None]  # [S, 1]
         d, d_prime, d_pprime = self.lateral.follow(coefficients, route.s, direction, at.expand(-1, len(direction)))
         s = route.s + at
-        curvature, path_per_road, path_per_road_prime = self._shape(s, direction, d, d_prime, d_pprime)
+        curvature, path_per_road, path_per_road_prime = path_shape(self.road, s, direction, d, d_prime, d_pprime)
         limits = self.config.limits
         allowed = (limits.lateral_accel_max_mps2 / desired_speed**2).clamp(max=limits.curvature_max_1pm)
         excess = torch.maximum(curvature.abs() - allowed, self.roadside.excess(s, direction, d, d_prime))
@@ -143,21 +189,6 @@ class FrenetPlanner:
         free_distance = first - self.config.clearance.station_m
         return Paths(coefficients, free_distance, path_per_road.amax(1), path_per_road_prime.abs().amax(1), cost)
 
-    def _shape(
-        self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, d_pprime: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Curvature (1/m) of paths at some points, metres of path per metre of road (1), its derivative by s (1/m)."""
-        if self.road.reference.is_straight:
-            path_per_road = torch.sqrt(1 + d_prime**2)
-            return d_pprime / path_per_road**3, path_per_road, d_prime * d_pprime / path_per_road
-        kappa, kappa_prime = self.road.curvature(s, direction)
-        scale = 1 - kappa * d
-        kappa_d_prime = kappa_prime * d + kappa * d_prime  # (kappa d)'
-        path_per_road = torch.sqrt(scale**2 + d_prime**2)
-        heading_prime = (scale * d_pprime + d_prime * kappa_d_prime) / path_per_road**2  # relative to the line
-        path_per_road_prime = (d_prime * d_pprime - scale * kappa_d_prime) / path_per_road
-        return (heading_prime + kappa) / path_per_road, path_per_road, path_per_road_prime
-
     def _assess(
         self,
         route: RouteState,
@@ -165,6 +196,7 @@ class FrenetPlanner:
         paths: Paths,
         blocked: list[tuple[Tensor, Tensor]],
         rule: "_Rule | None",
+        lingering_cost: Callable[[Tensor, Tensor], Tensor] | None,
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Costs [L, C, N] of all combinations, inf where one is not feasible.
 
@@ -177,6 +209,8 @@ class FrenetPlanner:
         cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
         if rule is not None:
             is_feasible = is_feasible & rule.allows(samples.travelled, samples.speed)
+        if lingering_cost is not None:
+            cost = cost + lingering_cost(samples.travelled, samples.speed)
         cost = torch.where(is_feasible, cost, torch.inf)
         first_step = tuple(field[:, 0] for field in samples[:3])
         if self.braking.n_candidates == 0:
@@ -190,6 +224,8 @@ class FrenetPlanner:
         has_room = stops.travelled[:, -1] + self.config.braking.room_m <= paths.free_distance[:, None]
         extra = torch.where(strict & has_room, 0.0, torch.where(loose, self.config.cost.closeness, torch.inf))
         stop_cost = stop_cost + extra
+        if lingering_cost is not None:
+            stop_cost = stop_cost + lingering_cost(stops.travelled, stops.speed)
         if rule is not None:
             stop_cost = torch.where(rule.allows(stops.travelled, stops.speed), stop_cost, torch.inf)
         stopping = (stops.travelled[:, 0], stops.speed[:, 0], stops.accel)
@@ -291,7 +327,7 @@ class FrenetPlanner:
 
     def _brake(self, route: RouteState, direction: Tensor, paths: Paths) -> RouteState:
         """State one step into full braking, on the path that stays free the longest."""
-        path_per_road = self._shape(route.s, direction, route.d, route.d_prime, route.d_pprime)[1]
+        path_per_road = path_shape(self.road, route.s, direction, route.d, route.d_prime, route.d_pprime)[1]
         decel, dt = self.config.limits.full_braking_mps2 / path_per_road, self.dt_s  # the limit holds along the path
         moving_s = (route.s_dot / decel).clamp(max=dt)
         travelled = route.s_dot * moving_s - decel * moving_s**2 / 2

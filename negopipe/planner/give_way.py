@@ -9,10 +9,9 @@ import torch
 from torch import Tensor
 
 from negopipe.schema import NonNegativeFloat, PositiveFloat, schema
-from negopipe.simulation.collisions import CollisionCheck
-from negopipe.simulation.road import RouteState
+from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.state import VehicleState
-from negopipe.simulation.waiting_place import leaving_place, waiting_place
+from negopipe.simulation.waiting_place import Passage
 
 NEVER_S = 1e6
 """Time of what never happens, s."""
@@ -38,17 +37,13 @@ class GiveWayConfig:
 class GiveWay:
     """The rule on one road; places are those of centres, for both driving directions."""
 
-    def __init__(self, config: GiveWayConfig, collisions: CollisionCheck, times: Tensor) -> None:
-        self.config, self.road = config, collisions.road
+    def __init__(self, config: GiveWayConfig, road: Road, passage: Passage, times: Tensor) -> None:
+        self.config, self.road, self.passage = config, road, passage
         self._dt_s, self._plan_s = float(times[0]), float(times[-1])
-        waiting = [waiting_place(collisions, 0.0, direction) for direction in (-1.0, 1.0)]
-        leaving = [leaving_place(collisions, direction) for direction in (-1.0, 1.0)]
-        self._waiting = torch.tensor(waiting, device=times.device)
-        self._leaving = torch.tensor(leaving, device=times.device)
 
     def to_passage(self, route: RouteState, direction: Tensor) -> Tensor:
         """[N] m: distance to the passage, negative behind its beginning."""
-        return _by(self._waiting, direction) - route.s
+        return self.passage.waiting_s(direction) - route.s
 
     def times_of_others(self, other: VehicleState, direction: Tensor, is_seen: Tensor) -> tuple[Tensor, Tensor]:
         """[O, N] s: earliest time at which an oncoming vehicle enters the passage, latest at which it has left it.
@@ -57,9 +52,9 @@ class GiveWay:
         """
         other_direction = self.road.direction_of(other)
         its = self.road.to_route(other, other_direction)
-        leaves_after = _by(self._leaving, other_direction) - its.s
+        leaves_after = self.passage.leaving_s(other_direction) - its.s
         comes = is_seen & (other_direction != direction) & (leaves_after > 0)
-        enters_after = (_by(self._waiting, other_direction) - its.s).clamp(min=0)
+        enters_after = (self.passage.waiting_s(other_direction) - its.s).clamp(min=0)
         latest = torch.where(its.s_dot > SLOWEST_MPS, leaves_after / its.s_dot.clamp(min=SLOWEST_MPS), NEVER_S)
         earliest = self._soonest(enters_after, its.s_dot)
         return torch.where(comes, earliest, NEVER_S), torch.where(comes, latest, -NEVER_S)
@@ -82,7 +77,7 @@ class GiveWay:
         others: of `times_of_others`
         """
         to_passage, earliest, latest = self.to_passage(route, direction), *others
-        through = _by(self._leaving, direction) - route.s
+        through = self.passage.leaving_s(direction) - route.s
         end, end_speed = travelled[:, -1], speed[:, -1].clamp(min=SLOWEST_MPS)
         enters_s = (travelled <= to_passage + ROUNDING_M).sum(1) * self._dt_s
         within_s = ((travelled < through).sum(1) + 1) * self._dt_s
@@ -92,8 +87,3 @@ class GiveWay:
         is_first = leaves_s[:, None] + margin_s < earliest  # [C, O, N]
         is_after = enters_s[:, None] > latest + margin_s
         return stays_out | (is_first | is_after).all(1)
-
-
-def _by(places: Tensor, direction: Tensor) -> Tensor:
-    """The places [2] of vehicles with the directions [...], m."""
-    return torch.where(direction > 0, places[1], places[0])

@@ -73,3 +73,19 @@ class LateralCandidates:
         d, d_prime, d_pprime = evaluate(columns, torch.minimum(travelled.clamp(min=0), length))
         route_d, route_d_prime, route_d_pprime = self.road.route_offset(start_s + travelled, direction)
         return PathPoint(route_d + d, route_d_prime + d_prime, route_d_pprime + d_pprime)
+
+
+def path_shape(
+    road: Road, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, d_pprime: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Curvature (1/m) of paths at some points, metres of path per metre of road (1), its derivative by s (1/m)."""
+    if road.reference.is_straight:
+        path_per_road = torch.sqrt(1 + d_prime**2)
+        return d_pprime / path_per_road**3, path_per_road, d_prime * d_pprime / path_per_road
+    kappa, kappa_prime = road.curvature(s, direction)
+    scale = 1 - kappa * d
+    kappa_d_prime = kappa_prime * d + kappa * d_prime  # (kappa d)'
+    path_per_road = torch.sqrt(scale**2 + d_prime**2)
+    heading_prime = (scale * d_pprime + d_prime * kappa_d_prime) / path_per_road**2  # relative to the line
+    path_per_road_prime = (d_prime * d_pprime - scale * kappa_d_prime) / path_per_road
+    return (heading_prime + kappa) / path_per_road, path_per_road, path_per_road_prime

@@ -44,7 +44,7 @@ class ConstantAccelerationConfig:
     def travelled(self, now: RouteState, times: Tensor) -> Tensor:
         """Metres along the road [..., T, N] after `times` [T] (s); `now` fields [..., N]."""
         speed, accel = now.s_dot, now.s_ddot
-        room = torch.where(accel < 0, speed, (self.speed_max_mps - speed).clamp(min=0))  # m/s until the bound
+        room = torch.where(accel < 0, speed, self.speed_max_mps - speed).clamp(min=0)  # m/s until the bound
         accelerating_s = (room / accel.abs().clamp(min=1e-3)).clamp(max=self.hold_s)[..., None, :]
         t = times[:, None]
         accelerated = torch.minimum(t, accelerating_s)
@@ -83,7 +83,7 @@ def predict(
     s = now.s[..., None, :] + travelled
     route_d, route_d_prime, _ = road.route_offset(s, direction[..., None, :])
     route_d_now, route_d_prime_now, _ = road.route_offset(now.s, direction)
-    fading = torch.exp(-travelled / config.offset_decay_m)
+    fading = torch.exp(-travelled.abs() / config.offset_decay_m)
     offset = (now.d - route_d_now)[..., None, :] * fading
     tan_heading = route_d_prime + (now.d_prime - route_d_prime_now)[..., None, :] * fading
     if not road.reference.is_straight:

@@ -167,7 +167,7 @@ def _worlds_last(*states: VehicleState) -> list[_Poses]:
 
 def _tangent(poses: _Poses, duration_s: float, limit_m: Tensor) -> tuple[Tensor, Tensor]:
     """x and y [V, E] of the displacement in `duration_s` at the present velocity, `limit_m` [V, E] at most; m."""
-    distance = (poses.speed * duration_s).minimum(limit_m)
+    distance = (poses.speed * duration_s).clamp(-limit_m, limit_m)
     return distance * torch.cos(poses.yaw), distance * torch.sin(poses.yaw)
 
 

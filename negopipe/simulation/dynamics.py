@@ -124,7 +124,7 @@ class Bicycle:
         It starts from the car's own state where the two are more than `replan_distance_m` apart.
         """
         queue = torch.cat([queue, self.command(vehicles, wanted)[:, None]], dim=1)
-        moved = self.actuate(vehicles, queue[:, 0])
+        moved = self.actuate(vehicles, queue[:, 0], _gear(vehicles.speed, wanted.speed))
         is_lost = (moved.position - wanted.position).norm(dim=-1) > self.config.replan_distance_m
         return moved, tree_where(is_lost, moved, wanted), queue[:, 1:]
 
@@ -134,6 +134,7 @@ class Bicycle:
         Feedforward reaches the wanted speed and, at driving speed, the wanted heading within one step. Lead terms
         compensate the lag of the actuators. Feedback corrects the position error that the wanted arc would leave.
         """
+        gear = _gear(vehicles.speed, wanted.speed)
         travelled = (vehicles.speed + wanted.speed) / 2 * self.dt_s
         position, yaw = _along_arc(vehicles.position, vehicles.yaw, wanted.curvature, travelled)
         error = wanted.position - position
@@ -143,12 +144,15 @@ class Bicycle:
         accel_lead = gains.accel_time_constant_s * (wanted.accel - vehicles.accel)
         accel = (wanted.speed - vehicles.speed + accel_lead) / self.dt_s + gains.position_gain_1ps2 * ahead
         curvature_lead = gains.steer_time_constant_s * (wanted.curvature - vehicles.curvature) / self.dt_s
-        turn = wrap_angle(wanted.yaw - yaw) / travelled.clamp(min=gains.heading_distance_m)
+        turn = gear * wrap_angle(wanted.yaw - yaw) / travelled.abs().clamp(min=gains.heading_distance_m)
         curvature = wanted.curvature + curvature_lead + turn + gains.lateral_gain_1pm2 * left
         return torch.stack([accel, torch.atan(gains.wheelbase_m * curvature)], dim=-1)
 
-    def actuate(self, vehicles: VehicleState, command: Tensor) -> VehicleState:
-        """State [E, V] after one control step in which the actuators approach `command` [E, V, 2]."""
+    def actuate(self, vehicles: VehicleState, command: Tensor, gear: Tensor | float = 1.0) -> VehicleState:
+        """State [E, V] after one control step in which the actuators approach `command` [E, V, 2].
+
+        gear: [E, V] float32, +1 forwards, -1 backwards, or one for all
+        """
         wanted_accel = command[..., 0]
         wanted_steer = command[..., 1].clamp(-self._steer_max, self._steer_max)
         position, yaw, speed, accel = vehicles.position, vehicles.yaw, vehicles.speed, vehicles.accel
@@ -159,12 +163,18 @@ class Bicycle:
             change = self._steer_share * (wanted_steer - steer)
             steer = steer + change.clamp(-self._steer_change_max, self._steer_change_max)
             curvature = torch.tan(steer) / self.config.wheelbase_m
-            moving_s = torch.where(accel < 0, (speed / accel.abs().clamp(min=1e-6)).clamp(max=h), h)
+            until_rest_s = speed.abs() / accel.abs().clamp(min=1e-6)
+            moving_s = torch.where(gear * accel < 0, until_rest_s.clamp(max=h), h)
             travelled = speed * moving_s + accel * moving_s**2 / 2
             position, yaw = _along_arc(position, yaw, curvature, travelled)
-            speed = torch.where(moving_s < h, 0.0, (speed + accel * h).clamp(min=0))
-            accel = torch.where((speed == 0) & (accel < 0), 0.0, accel)  # brakes hold, they do not push back
+            speed = torch.where(moving_s < h, 0.0, gear * (gear * (speed + accel * h)).clamp(min=0))
+            accel = torch.where((speed == 0) & (gear * accel < 0), 0.0, accel)  # brakes hold, they do not push back
         return VehicleState(position, yaw, speed, accel, curvature)
+
+
+def _gear(speed: Tensor, wanted_speed: Tensor) -> Tensor:
+    """[...] float32, +1 forwards or -1 backwards: of a vehicle that moves so, or that stands and wants to."""
+    return torch.where((speed < 0) | ((speed == 0) & (wanted_speed < 0)), -1.0, 1.0)
 
 
 def _along_arc(position: Tensor, yaw: Tensor, curvature: Tensor, travelled: Tensor) -> tuple[Tensor, Tensor]:

@@ -114,10 +114,18 @@ class Sensor:
     history_steps: past poses in a perception beside the latest
     memory_steps: past states that a world must keep for that
     is_attentive: no driver of the population reacts late or lapses
+    lowest_speed_mps: lowest speed of a vehicle; measured speeds are no lower
     """
 
-    def __init__(self, config: PerceptionConfig, dt_s: float, history_steps: int, is_attentive: bool = True) -> None:
-        self.config, self._is_attentive = config, is_attentive
+    def __init__(
+        self,
+        config: PerceptionConfig,
+        dt_s: float,
+        history_steps: int,
+        is_attentive: bool = True,
+        lowest_speed_mps: float = 0.0,
+    ) -> None:
+        self.config, self._is_attentive, self._lowest_speed = config, is_attentive, lowest_speed_mps
         self.history_steps = history_steps
         self._delay = round(config.delay_s / dt_s)
         self._window = round(config.accel_window_s / dt_s)
@@ -130,7 +138,7 @@ class Sensor:
         self._tracker, self._dt_s = None, dt_s
         if config.tracker is not None:
             variances = (config.position_std_m**2, config.yaw_std_rad**2, config.speed_std_mps**2)
-            self._tracker = Tracker(config.tracker, dt_s, variances)
+            self._tracker = Tracker(config.tracker, dt_s, variances, lowest_speed_mps)
 
     def perceive(self, world: World) -> Perception:
         """Perception of all vehicles, S = V."""
@@ -197,12 +205,12 @@ class Sensor:
         if self._tracker is not None:
             return world.tracks.history
         seen = self._sightings(world, self._delay, self._n_sightings)
-        return replace(seen, speed=seen.speed.clamp(min=0)) if self._is_noisy else seen
+        return replace(seen, speed=seen.speed.clamp(min=self._lowest_speed)) if self._is_noisy else seen
 
     def _sightings(self, world: World, ago: int, n: int) -> Sightings:
         """Sightings taken `ago` steps ago and at the n - 1 steps before: the true states with errors.
 
-        Measured speeds may be negative.
+        Measured speeds may be lower than any vehicle drives.
         """
         steps = slice(ago, ago + n)
         pose, speed = world.pose_history[:, steps], world.speed_history[:, steps]

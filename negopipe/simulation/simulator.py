@@ -134,7 +134,7 @@ class Simulator:
         """New `rest_steps` and `has_switched` of a world whose vehicles have reached `motion`, [E, V] each."""
         dt = self.scenario.dt_s
         time = (world.step[:, None] + 1) * dt
-        is_stuck = (motion.speed < AT_REST_MPS) & (time > UNCOUNTED_REST_S + dt / 2)
+        is_stuck = (motion.speed.abs() < AT_REST_MPS) & (time > UNCOUNTED_REST_S + dt / 2)
         rest_steps = torch.where(is_stuck, world.rest_steps + 1, 0)
         has_lost_patience = is_stuck & (rest_steps * dt > world.task.patience - dt / 2)
         return rest_steps, world.has_switched | has_lost_patience | (time > world.task.switch_time - dt / 2)

@@ -29,7 +29,7 @@ NOBODY = -1
 """`Casting.driver` of a vehicle without a driver of the population: of the ego, and where tasks have no population."""
 
 AT_REST_MPS = 0.1
-"""A vehicle that is slower than this is at rest (docs/reading.md, "suspend number")."""
+"""A vehicle that is slower than this, forwards or backwards, is at rest (docs/reading.md, "suspend number")."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class VehicleState:
 
     position: [..., 2] float32, m, world (centre of the footprint)
     yaw: [...] float32, rad, world
-    speed: [...] float32, m/s, never negative (no vehicle drives backwards)
+    speed: [...] float32, m/s, negative of a vehicle that drives backwards
     accel: [...] float32, m/s2, along the path
     curvature: [...] float32, 1/m, of the path driven, positive to the left
     """

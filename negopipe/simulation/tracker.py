@@ -50,8 +50,10 @@ class Tracker:
     variances: of the measured position (m2, along each axis), heading (rad2) and speed (m2/s2)
     """
 
-    def __init__(self, config: TrackerConfig, dt_s: float, variances: tuple[float, float, float]) -> None:
-        self.config, self.dt_s, self.variances = config, dt_s, variances
+    def __init__(
+        self, config: TrackerConfig, dt_s: float, variances: tuple[float, float, float], lowest_speed_mps: float = 0.0
+    ) -> None:
+        self.config, self.dt_s, self.variances, self._lowest_speed = config, dt_s, variances, lowest_speed_mps
         self._forget_steps = round(min(config.forget_after_s / dt_s, MOST_STEPS))
 
     def start(self, first: Sightings, age_s: Tensor, n_steps: int) -> Tracks:
@@ -61,7 +63,7 @@ class Tracker:
         """
         n_missed = torch.where(first.is_seen[:, 0], 0, self._forget_steps + 1)
         estimate = _where_tracked(first.is_seen[:, 0], self._measured(first))
-        now = _as_tracked(estimate, first.is_seen[:, 0], age_s)
+        now = _as_tracked(estimate, first.is_seen[:, 0], age_s, self._lowest_speed)
         return Tracks(estimate, n_missed, map_tensors(lambda f: f.repeat(1, n_steps, *[1] * (f.dim() - 2)), now))
 
     def follow(self, tracks: Tracks, latest: Sightings, is_new: Tensor, age_s: Tensor) -> Tracks:
@@ -77,7 +79,7 @@ class Tracker:
         estimate = _where_tracked(n_missed <= self._forget_steps, tree_where(is_seen, corrected, predicted))
         estimate = tree_where(is_new, estimate, tracks.estimate)
         n_missed = torch.where(is_new[:, None, None], n_missed, tracks.n_missed)
-        now = _as_tracked(estimate, n_missed <= self._forget_steps, age_s)
+        now = _as_tracked(estimate, n_missed <= self._forget_steps, age_s, self._lowest_speed)
         return Tracks(estimate, n_missed, map_tensors(_append, now, tracks.history))
 
     def _measured(self, latest: Sightings) -> Estimate:
@@ -149,11 +151,11 @@ def _where_tracked(is_tracked: Tensor, estimate: Estimate) -> Estimate:
     return tree_where(is_tracked, estimate, map_tensors(torch.zeros_like, estimate))
 
 
-def _as_tracked(estimate: Estimate, is_tracked: Tensor, age_s: Tensor) -> Sightings:
+def _as_tracked(estimate: Estimate, is_tracked: Tensor, age_s: Tensor, lowest_speed: float) -> Sightings:
     """The vehicles now (J = 1), by estimates [E, V, O] of `age_s` [E] ago: the speed is that along the heading."""
     position = estimate.position + age_s[:, None, None, None] * estimate.velocity
     cos, sin = torch.cos(estimate.yaw), torch.sin(estimate.yaw)
-    speed = (estimate.velocity[..., 0] * cos + estimate.velocity[..., 1] * sin).clamp(min=0)
+    speed = (estimate.velocity[..., 0] * cos + estimate.velocity[..., 1] * sin).clamp(min=lowest_speed)
     pose = torch.cat([position, estimate.yaw[..., None]], -1)
     return Sightings(pose[:, None], speed[:, None], is_tracked[:, None])
 

@@ -1,5 +1,7 @@
 """Places before and behind the corridor at which a vehicle that stands on its route lets the others pass."""
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -11,6 +13,33 @@ FARTHEST_M = 50.0
 """Length of the search for a waiting place, before or behind the corridor, m."""
 STEP_M = 0.25
 """Spacing of the places that are tried, m."""
+
+
+@dataclass(frozen=True)
+class Passage:
+    """The stretch of a street in which vehicles cannot pass each other, for both driving directions.
+
+    waiting, leaving: [2] float32, m, s of the last place before it and of the first behind it at which the other can
+        pass; against the line, along it
+    """
+
+    waiting: Tensor
+    leaving: Tensor
+
+    @staticmethod
+    def of(collisions: CollisionCheck) -> "Passage":
+        like = collisions.road.parked_cars
+        waiting = [waiting_place(collisions, 0.0, direction) for direction in (-1.0, 1.0)]
+        leaving = [leaving_place(collisions, direction) for direction in (-1.0, 1.0)]
+        return Passage(like.new_tensor(waiting), like.new_tensor(leaving))
+
+    def waiting_s(self, direction: Tensor) -> Tensor:
+        """[...] m: of vehicles that drive in `direction` [...] (+1 or -1)."""
+        return torch.where(direction > 0, self.waiting[1], self.waiting[0])
+
+    def leaving_s(self, direction: Tensor) -> Tensor:
+        """[...] m: of vehicles that drive in `direction` [...] (+1 or -1)."""
+        return torch.where(direction > 0, self.leaving[1], self.leaving[0])
 
 
 def waiting_place(collisions: CollisionCheck, latest_s_m: float, direction: float) -> float:

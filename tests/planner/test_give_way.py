@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from games import draw_tasks, place
+from games import draw_tasks, drive, meet
 from torch import Tensor
 
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
-from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import EGO, World
 from negopipe.tensors.tree import map_tensors
 
@@ -27,23 +26,6 @@ def built(street: str) -> tuple[RunConfig, Game]:
 @pytest.fixture(scope="module")
 def narrow() -> tuple[RunConfig, Game]:
     return built("narrow_lane")
-
-
-def meet(config: RunConfig, game: Game, s: list[list[float]], speed: list[list[float]]) -> World:
-    """Worlds with vehicles at `s` [E, V] (m) on their routes at `speed` [E, V] (m/s)."""
-    world = game.simulator.reset(draw_tasks(config, len(s)))
-    places, zero = torch.tensor(s), torch.zeros(len(s), len(s[0]))
-    direction = world.task.direction
-    route = RouteState(places, torch.tensor(speed), zero, *game.simulator.road.route_offset(places, direction))
-    return place(world, game.simulator.road.to_world(route, direction))
-
-
-def drive(game: Game, world: World, horizon: Tensor, n_steps: int) -> list[World]:
-    worlds = [world]
-    for _ in range(n_steps):
-        world, _ = game.simulator.step(world, game.plan(game.perceive(world), horizon).state)
-        worlds.append(world)
-    return worlds
 
 
 def rule_of(game: Game, world: World) -> tuple[Tensor, Tensor]:

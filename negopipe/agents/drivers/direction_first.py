@@ -55,5 +55,5 @@ class Config(RouteFollowingConfig):
 
 def _is_met(met: Encounter, length_m: float) -> Tensor:
     """[E, S] bool: an oncoming vehicle has not passed yet and does not stand before its mouth of the corridor."""
-    stands_aside = (met.other_speed < AT_REST_MPS) & (met.other_s < -length_m / 2)
+    stands_aside = (met.other_speed.abs() < AT_REST_MPS) & (met.other_s < -length_m / 2)
     return (met.is_oncoming & ~stands_aside).any(-1)
