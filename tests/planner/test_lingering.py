@@ -49,7 +49,7 @@ def test_an_oncoming_one_is_met_if_it_is_predicted_to_come(built: tuple[RunConfi
 
 
 def test_who_stays_in_the_passage_lingers(built: tuple[RunConfig, Game, Lingering]) -> None:
-    _, game, lingering = built
+    _, _, lingering = built
     ends: list[tuple[float, float]] = [
         (WAITING, 0.0), (WAITING + 0.5, 0.0), (0.0, 1.0), (0.0, 3.5), (LEAVING, 0.0), (LEAVING - 0.5, 0.0),
     ]  # fmt: skip
