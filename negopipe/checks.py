@@ -4,6 +4,7 @@ A component owns its numbers, so it checks them and counts their bytes. `negopip
 with the values of others that it needs, and makes the error messages.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -51,16 +52,28 @@ def check_times(times_s: Times, dt_s: float) -> Iterator[Problem]:
                 yield Problem(key, f"be a multiple of scenario.dt_s = {dt_s}", time_s)
 
 
-def check_horizons(horizons_s: Times, dt_s: float, plan_s: float) -> Iterator[Problem]:
-    """Problems with prediction horizons that are longer than a plan or no whole number of control steps.
+class Foresight(NamedTuple):
+    """What a planner can do with prediction horizons.
 
-    plan_s: length of a plan, `planner.horizon_s`
+    plan_s: length of a plan, s, `planner.horizon_s`
+    gives_way: an infinite horizon has its rule, `planner.give_way`
     """
+
+    plan_s: float
+    gives_way: bool
+
+
+def check_horizons(horizons_s: Times, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
+    """Problems with prediction horizons that the planner cannot obey or that are no whole number of control steps."""
+    finite = {key: [value for value in values if value < math.inf] for key, values in horizons_s.items()}
     for key, values in horizons_s.items():
-        longest_s = max(values, default=0.0)
-        if longest_s > plan_s:
-            yield Problem(key, f"be at most planner.horizon_s = {plan_s}", longest_s)
-    yield from check_times(horizons_s, dt_s)
+        longest_s, rule = max(finite[key], default=0.0), f"be at most planner.horizon_s = {foresight.plan_s}"
+        if longest_s > foresight.plan_s:
+            yield Problem(key, rule, longest_s)
+        if math.inf in values and not foresight.gives_way:
+            way = "where planner.give_way is null (planner=consistent_stops sets it)"
+            yield Problem(key, f"{rule} {way}", math.inf)
+    yield from check_times(finite, dt_s)
 
 
 def check_names(key: str, names: Iterable[str], allowed: Iterable[str], source: str) -> Iterator[Problem]:

@@ -5,11 +5,12 @@ Unknown keys, wrong types and values out of range raise a `pydantic.ValidationEr
 into one line.
 """
 
+import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PlainSerializer
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from typing_extensions import dataclass_transform
 
@@ -38,10 +39,29 @@ def _is_ordered(interval: tuple[float, float]) -> tuple[float, float]:
     return interval
 
 
+INFINITE = "inf"
+"""Spelling of infinity in files: JSON has no number for it."""
+
+
+def _from_plain(value: Any) -> Any:
+    return math.inf if value == INFINITE else value
+
+
+def _to_plain(value: float) -> float | str:
+    return INFINITE if value == math.inf else value
+
+
 Real = float
-"""Any number. No number of a config may be infinite or NaN."""
+"""Any number. No number of a config may be infinite or NaN, but a horizon."""
 PositiveFloat = Annotated[float, Field(gt=0)]
 NonNegativeFloat = Annotated[float, Field(ge=0)]
+Horizon = Annotated[
+    float,
+    Field(ge=0, allow_inf_nan=True),
+    BeforeValidator(_from_plain),
+    PlainSerializer(_to_plain, when_used="json"),
+]
+"""Prediction horizon, s; infinity, or the text `inf`, gives way. `planner.give_way` must then be set."""
 PositiveMetres = PositiveFloat
 NonNegativeMetres = NonNegativeFloat
 Fraction = Annotated[float, Field(ge=0, le=1)]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 from torch import Tensor
 
 from negopipe.agents.driver import ChooseHorizon, Driver, HorizonDriver
-from negopipe.checks import Problem, check_horizons, check_times
+from negopipe.checks import Foresight, Problem, check_horizons, check_times
 from negopipe.schema import schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.simulator import Simulator
@@ -39,10 +39,10 @@ class DriverConfig(ABC):
         """Times that must be whole control steps, s, by the name of the field."""
         return {}
 
-    def check(self, key: str, dt_s: float, plan_s: float) -> Iterator[Problem]:
-        """key: of this driver; plan_s: length of a plan."""
+    def check(self, key: str, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
+        """key: of this driver; foresight: of the planner."""
         horizons_s = {f"{key}.{name}": values for name, values in self.prediction_horizons_s.items()}
-        yield from check_horizons(horizons_s, dt_s, plan_s)
+        yield from check_horizons(horizons_s, dt_s, foresight)
         yield from check_times({f"{key}.{name}": (time_s,) for name, time_s in self.times_s.items()}, dt_s)
 
     @property

@@ -17,7 +17,7 @@ from torch import Tensor
 from negopipe.agents.driver import Plan
 from negopipe.agents.driver_config import HorizonRule, MotionRule
 from negopipe.agents.drivers import RuleConfig
-from negopipe.checks import WHOLE, Problem, check_horizons, check_times
+from negopipe.checks import WHOLE, Foresight, Problem, check_horizons, check_times
 from negopipe.schema import FileName, Fraction, Interval, NonNegativeFloat, PathText, PositiveFloat, schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.scenario import Styles
@@ -63,10 +63,10 @@ class PlannerStyle:
         """Whether the horizon is the driver's own and not the family's."""
         return self.horizons_s is not None or self.interval_s is not None
 
-    def check(self, key: str, dt_s: float, plan_s: float) -> Iterator[Problem]:
-        """plan_s: length of a plan."""
-        yield from check_horizons({f"{key}.horizons_s": self.horizons_s or ()}, dt_s, plan_s)
-        yield from check_horizons({f"{key}.interval_s": self.interval_s or ()}, dt_s, plan_s)
+    def check(self, key: str, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
+        """foresight: of the planner."""
+        yield from check_horizons({f"{key}.horizons_s": self.horizons_s or ()}, dt_s, foresight)
+        yield from check_horizons({f"{key}.interval_s": self.interval_s or ()}, dt_s, foresight)
         redraw_s = () if self.redraw_s is None else (self.redraw_s,)
         yield from check_times({f"{key}.redraw_s": redraw_s, f"{key}.reaction_s": self.reaction_s}, dt_s)
 
@@ -91,7 +91,7 @@ class PolicyDriver:
     checkpoint: PathText
     action: Literal["greedy", "sample"]
 
-    def check(self, key: str, dt_s: float, plan_s: float) -> Iterator[Problem]:
+    def check(self, key: str, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
         yield from ()
 
 
@@ -102,7 +102,7 @@ class SelfDriver:
     kind: Literal["self"]
     action: Literal["greedy", "sample"]
 
-    def check(self, key: str, dt_s: float, plan_s: float) -> Iterator[Problem]:
+    def check(self, key: str, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
         yield from ()
 
 
@@ -140,14 +140,14 @@ class PopulationConfig:
         """Whether no driver reacts late or lapses."""
         return not any(planner.reaction_s[1] > 0 or planner.lapse_share > 0 for planner in self.planners.values())
 
-    def check(self, dt_s: float, plan_s: float, remembered_s: float) -> Iterator[Problem]:
-        """plan_s: length of a plan; remembered_s: age of the oldest state of another that a driver knows."""
+    def check(self, dt_s: float, foresight: Foresight, remembered_s: float) -> Iterator[Problem]:
+        """foresight: of the planner; remembered_s: age of the oldest state of another that a driver knows."""
         for name, planner in self.planners.items():
             if planner.reaction_s[1] > remembered_s + WHOLE:
                 rule = f"be at most {remembered_s:g} s, as far as a vehicle remembers by observation.n_frames"
                 yield Problem(f"population.drivers.{name}.driver.reaction_s", rule, planner.reaction_s[1])
         for name, each in self.drivers.items():
-            yield from each.driver.check(f"population.drivers.{name}.driver", dt_s, plan_s)
+            yield from each.driver.check(f"population.drivers.{name}.driver", dt_s, foresight)
 
     def check_self(self, place: str) -> Iterator[Problem]:
         """A `place` where no policy is trained or evaluated, so that none can drive as itself."""

@@ -12,7 +12,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from negopipe.agents.population import PopulationConfig
 from negopipe.benchmark.speed import BenchmarkConfig
-from negopipe.checks import Memory, Problem
+from negopipe.checks import Foresight, Memory, Problem
 from negopipe.config.messages import explain_composition, explain_validation, misread
 from negopipe.config.renamed import renamings
 from negopipe.errors import UserError, abbreviate
@@ -149,26 +149,27 @@ def check_components(config: RunConfig) -> None:
 def _problems(config: RunConfig) -> Iterator[Problem]:
     """Problems that the components find in their values."""
     scenario, evaluation, stages = config.scenario, config.evaluation, set(config.stages)
-    dt_s, plan_s = scenario.dt_s, config.planner.horizon_s
-    yield from config.planner.check(dt_s)
+    dt_s, planner = scenario.dt_s, config.planner
+    foresight = Foresight(planner.horizon_s, planner.give_way is not None)
+    yield from planner.check(dt_s)
     yield from config.observation.check(dt_s)
     yield from config.perception.check(dt_s)
     yield from config.dynamics.check(dt_s)
-    yield from check_policy(config.policy, config.observation.n_cells, dt_s, plan_s)
-    yield from scenario.check(plan_s)
+    yield from check_policy(config.policy, config.observation.n_cells, dt_s, foresight)
+    yield from scenario.check(foresight)
     remembered_s = history_steps(config.observation, dt_s) * dt_s - config.perception.accel_window_s
-    yield from config.population.check(dt_s, plan_s, max(0.0, remembered_s))
+    yield from config.population.check(dt_s, foresight, max(0.0, remembered_s))
     for stage in sorted(WITHOUT_POLICY & stages):
         yield from config.population.check_self(f"the stage {stage}")
-    yield from config.curriculum.check(dt_s, plan_s)
-    yield from evaluation.check(scenario, plan_s)
+    yield from config.curriculum.check(dt_s, foresight)
+    yield from evaluation.check(scenario, foresight)
     driven = set(evaluation.settings)
     if "replay" in stages and config.episode is None:
         yield Problem("episode", "be <setting>/<planner>/<number> for the stage replay", None)
     if "report" in stages:
         yield from config.report.check(evaluation.baselines)
     if "behaviour_map" in stages:
-        yield from config.behaviour_map.check(dt_s, plan_s)
+        yield from config.behaviour_map.check(dt_s, foresight)
     if "oracle" in stages:
         yield from config.oracle.check(scenario, evaluation.n_episodes, evaluation.reward)
         driven |= set(config.oracle.settings)

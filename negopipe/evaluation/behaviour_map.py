@@ -4,6 +4,7 @@ Claim 8: a shorter prediction horizon gives more aggressive driving, that is pas
 (docs/reading.md, "claim 8").
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -12,10 +13,10 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from negopipe.checks import Memory, Problem, check_horizons
+from negopipe.checks import Foresight, Memory, Problem, check_horizons
 from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.trace import OUTCOMES, trace_bytes
-from negopipe.schema import Distinct, NonNegativeFloat, PositiveInt, schema
+from negopipe.schema import Distinct, Horizon, PositiveInt, schema
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.tracking.csv_file import CsvKind
 
@@ -48,7 +49,7 @@ MEASURED = (
 )
 """Columns of episodes.csv that a cell aggregates."""
 
-DifferentHorizons = Annotated[list[NonNegativeFloat], Field(min_length=1), Distinct]
+DifferentHorizons = Annotated[list[Horizon], Field(min_length=1), Distinct]
 
 
 @schema
@@ -59,10 +60,10 @@ class BehaviourMapConfig:
     styles_s: DifferentHorizons
     n_episodes: PositiveInt
 
-    def check(self, dt_s: float, plan_s: float) -> Iterator[Problem]:
-        """plan_s: length of a plan."""
+    def check(self, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
+        """foresight: of the planner."""
         horizons_s = {"behaviour_map.horizons_s": self.horizons_s, "behaviour_map.styles_s": self.styles_s}
-        yield from check_horizons(horizons_s, dt_s, plan_s)
+        yield from check_horizons(horizons_s, dt_s, foresight)
 
     def memory(self, scenario: ScenarioConfig) -> Memory:
         """Memory of the trace of one pair of horizons."""
@@ -128,11 +129,15 @@ class Trend:
 
 
 def trends(table: pd.DataFrame) -> list[Trend]:
-    """Claim 8 for every measure, setting and style, from rows of `cell`."""
+    """Claim 8 for every measure, setting and style, from rows of `cell`.
+
+    An infinite horizon of the ego is left out: it has a rule of its own, and the claim is about lengths.
+    """
     found = []
     for measure, (sign, tolerance) in CLAIMED.items():
         for (setting, style_s), rows in table.groupby(["setting", "social_style_s"], sort=False):
-            known = rows.dropna(subset=measure).sort_values("ego_horizon_s")
+            finite = rows[rows["ego_horizon_s"] < math.inf]
+            known = finite.dropna(subset=measure).sort_values("ego_horizon_s")
             points = list(zip(known["ego_horizon_s"].tolist(), known[measure].tolist(), strict=True))
             found.append(Trend(str(setting), float(str(style_s)), measure, *_judge(points, sign, tolerance)))
     return found

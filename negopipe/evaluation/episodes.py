@@ -10,7 +10,7 @@ from torch import Tensor
 
 from negopipe.agents.driver import Driver, HorizonDriver, MakeDriver, drive_together, given_horizon
 from negopipe.agents.drivers import BaselineConfig
-from negopipe.checks import Memory, Problem, check_names
+from negopipe.checks import Foresight, Memory, Problem, check_names
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, ORACLE, OUTCOMES, Trace, trace_bytes
 from negopipe.game.game import Game
@@ -40,8 +40,8 @@ class EvaluationConfig:
     action: Literal["greedy", "sample"]
     reward: RewardConfig
 
-    def check(self, scenario: ScenarioConfig, plan_s: float) -> Iterator[Problem]:
-        """plan_s: length of a plan."""
+    def check(self, scenario: ScenarioConfig, foresight: Foresight) -> Iterator[Problem]:
+        """foresight: of the planner."""
         for name, who in {ADAPTIVE: "the policy", ORACLE: "the planner that evaluation.oracle brings"}.items():
             if name in self.baselines:
                 yield Problem("evaluation.baselines", f"not have the name of {who}", name)
@@ -49,7 +49,7 @@ class EvaluationConfig:
         leading = [self.leading_setting]
         yield from check_names("evaluation.leading_setting", leading, self.settings, "evaluation.settings")
         for name, baseline in self.baselines.items():
-            yield from baseline.check(f"evaluation.baselines.{name}", scenario.dt_s, plan_s)
+            yield from baseline.check(f"evaluation.baselines.{name}", scenario.dt_s, foresight)
 
     def memory(self, scenario: ScenarioConfig) -> Memory:
         """Memory of the traces of all planners in all settings."""

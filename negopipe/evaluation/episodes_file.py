@@ -32,18 +32,21 @@ class Drives:
     corridor_length_m: m, from mouth to mouth
     vehicle: footprint of every vehicle
     braking_mps2: full braking, m/s2
+    plan_s: length of a plan, s
     """
 
     trace: Trace
     corridor_length_m: float
     vehicle: VehicleConfig
     braking_mps2: float
+    plan_s: float
 
     @staticmethod
     def of(config: "RunConfig", trace: Trace) -> "Drives":
         """The constants of a run's config."""
-        braking_mps2 = config.planner.limits.full_braking_mps2
-        return Drives(trace, config.scenario.road.corridor_length_m, config.scenario.vehicle, braking_mps2)
+        scenario, planner = config.scenario, config.planner
+        length_m, braking_mps2 = scenario.road.corridor_length_m, planner.limits.full_braking_mps2
+        return Drives(trace, length_m, scenario.vehicle, braking_mps2, planner.horizon_s)
 
     @cached_property
     def is_running(self) -> np.ndarray:
@@ -140,8 +143,8 @@ COLUMNS = (
     EpisodeColumn(
         "mean_horizon_s",
         float,
-        lambda d: mean_over(d.trace.horizon_s[:, :, EGO], d.is_running),
-        "mean prediction horizon of the ego; empty for a driver without one",
+        lambda d: mean_over(np.minimum(d.trace.horizon_s[:, :, EGO], d.plan_s), d.is_running),
+        "mean prediction horizon of the ego, an infinite one counted as planner.horizon_s; empty where it has none",
     ),
     EpisodeColumn(
         "passes_first",

@@ -1,5 +1,6 @@
 """Tests of hypotheses about planners: the evidence, findings with their intervals, and verdicts on claims."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby, pairwise, product
@@ -81,11 +82,15 @@ Want = Callable[..., Finding]
 
 
 class Evidence:
-    """The episodes that the paper's claims are about, and comparisons between them."""
+    """The episodes that the paper's claims are about, and comparisons between them.
+
+    An infinite horizon is no horizon of the paper: it has a rule of its own, so it is no evidence.
+    """
 
     def __init__(self, table: pd.DataFrame, traces: Sequence[Trace], fixed_s: FixedHorizons) -> None:
         self.rng = np.random.default_rng(RANDOM_SEED)
-        self.fixed_s = {name: fixed_s[name] for name in table["planner"].unique() if name in fixed_s}
+        of_the_paper = {name: horizon_s for name, horizon_s in fixed_s.items() if horizon_s < math.inf}
+        self.fixed_s = {name: of_the_paper[name] for name in table["planner"].unique() if name in of_the_paper}
         self.fixed = sorted(self.fixed_s, key=self.fixed_s.__getitem__)
         self.psi = {trace.setting: behaviour_index(trace) for trace in traces if trace.planner == ADAPTIVE}
         compared = table[table["planner"].isin([ADAPTIVE, *self.fixed])]

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from negopipe.checks import Memory, Problem, check_horizons
+from negopipe.checks import Foresight, Memory, Problem, check_horizons
 from negopipe.game.reward import RewardConfig
 from negopipe.learning.demonstrations import DemonstrationsConfig
 from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
@@ -86,10 +86,10 @@ class CurriculumConfig:
         stages = enumerate(self.stages)
         return {f"curriculum.stages.{i}.families.{name}": f for i, s in stages for name, f in s.families.items()}
 
-    def check(self, dt_s: float, plan_s: float) -> Iterator[Problem]:
-        """plan_s: length of a plan."""
+    def check(self, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
+        """foresight: of the planner."""
         for key, family in self._families.items():
-            yield from check_horizons(family.horizons_s(key), dt_s, plan_s)
+            yield from check_horizons(family.horizons_s(key), dt_s, foresight)
 
     def check_training(self, evaluated: ScenarioConfig, paid: RewardConfig) -> Iterator[Problem]:
         """What a training asks for: tasks that are not lost before they begin, a reward that a search can climb."""

@@ -11,7 +11,7 @@ from pydantic import Field
 from torch import Generator, Tensor, nn
 
 from negopipe.errors import UserError
-from negopipe.schema import Distinct, NonNegativeFloat, PositiveInt, schema
+from negopipe.schema import Distinct, Horizon, PositiveInt, schema
 
 HIDDEN_GAIN = math.sqrt(2)
 LAST_GAIN = 0.01
@@ -46,7 +46,7 @@ class PolicyConfig:
     conv: tuple[ConvConfig, ...]
     encoder_width: PositiveInt
     head_widths: tuple[PositiveInt, ...]
-    horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=2), Distinct]
+    horizons_s: Annotated[tuple[Horizon, ...], Field(min_length=2), Distinct]
     precision: Literal["auto", "float32", "bfloat16"]
     memory_format: Literal["auto", "channels_last", "channels_first"]
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Memory, Problem, check_horizons
+from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Foresight, Memory, Problem, check_horizons
 from negopipe.policy.actor_critic import ConvConfig, PolicyConfig
 
 
@@ -41,9 +41,9 @@ def layer_sizes(config: PolicyConfig, n_frames: int, n_cells: int) -> list[Layer
     return layers
 
 
-def check_policy(config: PolicyConfig, n_cells: int, dt_s: float, plan_s: float) -> Iterator[Problem]:
-    """n_cells: side of the grid; plan_s: length of a plan."""
-    yield from check_horizons({"policy.horizons_s": config.horizons_s}, dt_s, plan_s)
+def check_policy(config: PolicyConfig, n_cells: int, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
+    """n_cells: side of the grid; foresight: of the planner."""
+    yield from check_horizons({"policy.horizons_s": config.horizons_s}, dt_s, foresight)
     for index, (side, conv) in enumerate(zip(map_sides(config.conv, n_cells), config.conv, strict=False)):
         if conv.kernel > side:
             rule = f"be at most {side}, the side of its input with observation.n_cells = {n_cells}"

@@ -2,7 +2,7 @@
 
 One panel per planner and, with a `PolicyTrace`, a row below with the policy's grids and the probabilities of its
 horizons. The ribbon ahead of a social vehicle is the ego's prediction of it: its path within the prediction horizon at
-its present speed, in the colour of that horizon.
+its present speed, in the colour of that horizon; an infinite one predicts as far as a plan.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from PIL import Image
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.report.labels import outcome_label, planner_label
+from negopipe.report.labels import horizon_label, outcome_label, planner_label
 from negopipe.report.scene import (
     GROUND,
     PARKED,
@@ -121,7 +121,7 @@ def slides(pngs: Sequence[bytes], seconds: float) -> bytes:
 def _horizons(traces: Sequence[Trace], episode: int) -> np.ndarray:
     """The prediction horizons that appear in the film, s."""
     used = np.concatenate([trace.horizon_s[: trace.n_steps[episode], episode, EGO] for trace in traces])
-    return np.unique(used[np.isfinite(used)])
+    return np.unique(used[~np.isnan(used)])
 
 
 def _palette(frames: Sequence[Image.Image], horizons_s: np.ndarray) -> Image.Image:
@@ -229,10 +229,10 @@ class _Panel:
         return tuple((1 - share) * pair[0] + share * pair[1] for pair in (position, yaw, speed))  # type: ignore[return-value]
 
     def _show_prediction(self, position: np.ndarray, yaw: np.ndarray, speed: np.ndarray, horizon_s: float) -> None:
-        has_horizon = np.isfinite(horizon_s)
-        self.horizon.set_text(f"horizon {horizon_s:g} s" if has_horizon else "")
+        has_horizon = not np.isnan(horizon_s)
+        self.horizon.set_text(f"horizon {horizon_label(horizon_s)}" if has_horizon else "")
         for ribbon, vehicle in zip(self.ribbons, range(1, len(yaw)), strict=True):
-            way_m = speed[vehicle] * horizon_s if has_horizon else 0.0
+            way_m = speed[vehicle] * min(horizon_s, self.scene.plan_s) if has_horizon else 0.0
             ribbon.set_xy(ribbon_corners(self.scene, position[vehicle], yaw[vehicle], way_m))
             ribbon.set_facecolor(horizon_color(horizon_s) if has_horizon else QUIET)
 
@@ -276,7 +276,9 @@ class _PolicyRow:
         )
         axis.set_title("probability of each horizon", fontsize=9, fontweight="normal", pad=3)
         axis.set(xlim=(0, 1), xticks=[])
-        axis.set_yticks(range(len(policy_trace.horizons_s)), [f"{horizon:g} s" for horizon in policy_trace.horizons_s])
+        axis.set_yticks(
+            range(len(policy_trace.horizons_s)), [horizon_label(horizon_s) for horizon_s in policy_trace.horizons_s]
+        )
         axis.tick_params(axis="y", length=0)
         axis.spines["bottom"].set_visible(False)
         axis.invert_yaxis()

@@ -2,8 +2,8 @@
 
 Every function takes data and returns a matplotlib Figure 4.4 inches wide: a column in print, and still
 readable on a phone. Planner colours are the same in every figure: a fixed horizon has the colour of its
-horizon, from amber (0 s, no prediction) to navy (6 s, cautious). The colours stay apart under the three
-common colour vision deficiencies (smallest CIE76 difference 27).
+horizon, from amber (0 s, no prediction) to navy (6 s, cautious); blue is infinite. The colours stay apart under the
+three common colour vision deficiencies (smallest CIE76 difference 27).
 """
 
 import math
@@ -23,7 +23,7 @@ from negopipe.evaluation import measures
 from negopipe.evaluation.metrics import behaviour_index, running
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES, Trace
-from negopipe.report.labels import outcome_label, planner_label, setting_label
+from negopipe.report.labels import horizon_label, outcome_label, planner_label, setting_label
 from negopipe.report.style import (
     ADAPTIVE_COLOR,
     CORRIDOR,
@@ -230,7 +230,7 @@ def space_time(
     chosen = np.concatenate([trace.horizon_s[: trace.n_steps[episode], episode, EGO] for trace in traces])
     social = Line2D([], [], color=INK, linestyle="--", label="social vehicle")
     corridor = Patch(color=CORRIDOR, label="corridor")
-    _horizon_legend(figure, np.unique(chosen[np.isfinite(chosen)]), [social, corridor], n_columns=3)
+    _horizon_legend(figure, np.unique(chosen[~np.isnan(chosen)]), [social, corridor], n_columns=3)
     return figure
 
 
@@ -243,7 +243,7 @@ def _space_time_lines(axis: Axes, trace: Trace, episode: int, half_m: float) -> 
     )  # social vehicles drive towards it
     horizon = trace.horizon_s[:end, episode, EGO]
     points = np.stack([time_s, sigma[:, EGO]], -1)
-    colors = [horizon_color(h) if np.isfinite(h) else QUIET for h in horizon]
+    colors = [QUIET if np.isnan(h) else horizon_color(h) for h in horizon]
     segments = list(np.stack([points[:-1], points[1:]], 1))
     axis.add_collection(LineCollection(segments, colors=colors, linewidths=2.4, capstyle="round"))
     axis.plot(time_s, sigma[:, EGO + 1 :], color=INK, linestyle="--", linewidth=1.1)
@@ -334,5 +334,5 @@ def _planner_legend(figure: Figure, colors: Mapping[str, str], fixed_s: FixedHor
 def _horizon_legend(
     figure: Figure, levels: np.ndarray, others: Sequence[Line2D | Patch] = (), n_columns: int = 4
 ) -> None:
-    handles = [Patch(color=horizon_color(level), label=f"horizon {level:g} s") for level in levels]
+    handles = [Patch(color=horizon_color(level), label=f"horizon {horizon_label(level)}") for level in levels]
     figure.legend(handles=[*handles, *others], loc="outside upper center", ncols=n_columns, handlelength=1.2)

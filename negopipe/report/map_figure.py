@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 
 from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, Trend
 from negopipe.report.figures import outcome_legend
-from negopipe.report.labels import setting_label
+from negopipe.report.labels import horizon_label, horizon_number, setting_label
 from negopipe.report.style import INK, OUTCOME_COLORS, STYLE, WIDTH_IN, styled
 
 RATES = {
@@ -95,8 +95,8 @@ def _number(axis: Axes, x: float, y: float, text: str, color: str, font_size: fl
 
 def _frame(axis: Axes, horizons: list[float], styles: list[float]) -> None:
     """Ticks at the cells' middles, white lines between the cells."""
-    axis.set_xticks(range(len(horizons)), [f"{horizon:g}" for horizon in horizons])
-    axis.set_yticks(range(len(styles)), [f"{style:g}" for style in styles])
+    axis.set_xticks(range(len(horizons)), [horizon_number(horizon) for horizon in horizons])
+    axis.set_yticks(range(len(styles)), [horizon_number(style) for style in styles])
     axis.set_xticks(np.arange(len(horizons) + 1) - 0.5, minor=True)
     axis.set_yticks(np.arange(len(styles) + 1) - 0.5, minor=True)
     axis.grid(which="minor", color="white", linewidth=2)
@@ -127,14 +127,15 @@ def _sentence(words: str, found: Sequence[Trend]) -> str:
 def _cases(found: Sequence[Trend]) -> str:
     by_setting: dict[str, list[str]] = {}
     for finding in found:
-        by_setting.setdefault(finding.setting, []).append(f"{finding.social_style_s:g} s{_turn(finding)}")
+        by_setting.setdefault(finding.setting, []).append(f"{horizon_label(finding.social_style_s)}{_turn(finding)}")
     return "; ".join(f"{setting} against {', '.join(styles)}" for setting, styles in by_setting.items())
 
 
 def _turn(finding: Trend) -> str:
     if finding.turn is None:
         return ""
-    (horizon, value), (longer, then) = finding.turn
+    (horizon_s, value), (longer_s, then) = finding.turn
+    horizon, longer = horizon_label(horizon_s), horizon_label(longer_s)
     if finding.measure == "ego_passes_first_rate":
-        return f" [{100 * value:.0f} % at {horizon:g} s but {100 * then:.0f} % at {longer:g} s]"
-    return f" [{value:.2f} m at {horizon:g} s but {then:.2f} m at {longer:g} s]"
+        return f" [{100 * value:.0f} % at {horizon} but {100 * then:.0f} % at {longer}]"
+    return f" [{value:.2f} m at {horizon} but {then:.2f} m at {longer}]"

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES
 from negopipe.report.figures import outcome_legend, settings_and_planners
-from negopipe.report.labels import planner_label, setting_label
+from negopipe.report.labels import horizon_number, planner_label, setting_label
 from negopipe.report.style import INK, OUTCOME_COLORS, QUIET, WIDTH_IN, planner_colors, styled
 
 BIN_M = 0.2
@@ -106,7 +106,7 @@ def opponent(table: pd.DataFrame) -> pd.Series:
 
 
 def _opponent_text(name: float | str) -> str:
-    return name if isinstance(name, str) else f"{name:g}"
+    return name if isinstance(name, str) else horizon_number(name)
 
 
 @styled

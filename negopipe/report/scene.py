@@ -22,6 +22,7 @@ class Scene:
     corridor_m: [2, M, 2] the same of the corridor, from mouth to mouth
     route_d_m: [2, K] offset to the line's left of the routes along the line and against it
     vehicle_length_m, vehicle_width_m: footprint of every vehicle
+    plan_s: length of a plan, s
     """
 
     parked_cars: np.ndarray
@@ -31,6 +32,7 @@ class Scene:
     route_d_m: np.ndarray
     vehicle_length_m: float
     vehicle_width_m: float
+    plan_s: float
 
 
 def add_polygon(axis: Axes, color: str, alpha: float = 1.0) -> Polygon:

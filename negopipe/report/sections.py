@@ -28,7 +28,7 @@ from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, trends
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.captions import NOT_TRAINED, WATCH, caption
-from negopipe.report.labels import planner_label, setting_label
+from negopipe.report.labels import horizon_label, planner_label, setting_label
 from negopipe.report.map_figure import behaviour_map as map_figure
 from negopipe.report.map_figure import reading as map_reading
 from negopipe.report.outcome_figures import opponent
@@ -183,7 +183,7 @@ def _film(
 def _style_text(trace: Trace, episode: int) -> str:
     """How the nearest social vehicle drives: `style 6 s`, or the driver's name where it has no style."""
     style_s = trace.style_horizon_s[episode, NEAREST]
-    return str(trace.driver[episode, NEAREST]) if np.isnan(style_s) else f"style {style_s:g} s"
+    return str(trace.driver[episode, NEAREST]) if np.isnan(style_s) else f"style {horizon_label(style_s)}"
 
 
 def behaviour_section(

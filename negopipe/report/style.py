@@ -1,5 +1,6 @@
 """Colours, sizes and matplotlib settings, the same in every figure."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -40,6 +41,8 @@ LONGEST_HORIZON_S = 6.0
 
 
 HORIZON_COLORMAP = LinearSegmentedColormap.from_list("horizon", ["#E09000", "#D64550", "#9A4FBF", "#1B1B4B"])
+INFINITE_COLOR = "#0A3CFF"
+"""Colour of an infinite horizon, which gives way: beyond the scale, and apart from it for all colour visions."""
 
 
 WIDTH_IN = 4.4
@@ -79,6 +82,8 @@ styled = matplotlib.rc_context(STYLE)
 
 def horizon_color(horizon_s: float) -> str:
     """Colour of a prediction horizon, as hex."""
+    if horizon_s == math.inf:
+        return to_hex(INFINITE_COLOR)
     return to_hex(HORIZON_COLORMAP(min(horizon_s / LONGEST_HORIZON_S, 1.0)))
 
 

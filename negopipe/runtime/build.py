@@ -1,7 +1,6 @@
 """The game, the policy and the device of a config; saving and loading of policies."""
 
 import logging
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,8 +72,8 @@ def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
 def save_policy(path: Path, policy: ActorCritic, config: "RunConfig", n_decisions: int) -> None:
     """Save a checkpoint with the weights and a description of the policy."""
     metadata = {
-        "policy": asdict(config.policy),
-        "observation": asdict(config.observation),
+        "policy": _plain(config.policy),
+        "observation": _plain(config.observation),
         "experiment": config.name,
         "seed": config.seed,
         "decisions": n_decisions,
@@ -129,7 +128,7 @@ def _described(path: Path, metadata: dict[str, Any]) -> tuple[PolicyConfig, Obse
 
 def _check_match(path: Path, metadata: dict[str, Any], config: "RunConfig") -> None:
     for part in ("policy", "observation"):
-        made_with, wanted = metadata.get(part, {}), _plain(asdict(getattr(config, part)))
+        made_with, wanted = metadata.get(part, {}), _plain(getattr(config, part))
         differing = [key for key in wanted if made_with.get(key) != wanted[key] and key not in RESULT_NEUTRAL_KEYS]
         if differing:
             key = differing[0]
@@ -144,8 +143,6 @@ def _fill(path: Path, tensors: dict[str, Tensor], policy: ActorCritic) -> None:
         raise UserError(f"checkpoint must hold the weights of this network, got {path}: {reason}") from error
 
 
-def _plain(value: Any) -> Any:
-    """The value as JSON returns it: tuples become lists."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, tuple | list) else value
+def _plain(part: PolicyConfig | ObservationConfig) -> dict[str, Any]:
+    """A part of the config as JSON returns it: tuples become lists, an infinite horizon its text."""
+    return TypeAdapter(type(part)).dump_python(part, mode="json")

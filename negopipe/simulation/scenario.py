@@ -10,12 +10,12 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from negopipe.checks import Problem, check_horizons
+from negopipe.checks import Foresight, Problem, check_horizons
 from negopipe.errors import UserError
 from negopipe.schema import (
     FileName,
+    Horizon,
     Interval,
-    NonNegativeFloat,
     PositiveFloat,
     PositiveInt,
     PositiveInterval,
@@ -34,7 +34,7 @@ class VehicleConfig:
     width_m: PositiveMetres
 
 
-Styles = Annotated[list[NonNegativeFloat], Field(min_length=1)]
+Styles = Annotated[list[Horizon], Field(min_length=1)]
 """Prediction horizons of a social vehicle's planner, s."""
 
 
@@ -124,10 +124,10 @@ class ScenarioConfig:
     pairing: Literal["ego_behaviour", "literal"]
     families: Annotated[Families, Field(min_length=1)]
 
-    def check(self, plan_s: float) -> Iterator[Problem]:
-        """plan_s: length of a plan."""
+    def check(self, foresight: Foresight) -> Iterator[Problem]:
+        """foresight: of the planner."""
         for name, family in self.families.items():
-            yield from check_horizons(family.horizons_s(f"scenario.families.{name}"), self.dt_s, plan_s)
+            yield from check_horizons(family.horizons_s(f"scenario.families.{name}"), self.dt_s, foresight)
 
 
 def pair_styles(families: Families, pairing: str) -> Families:

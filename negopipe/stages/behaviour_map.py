@@ -13,7 +13,7 @@ from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, cell, claims, trends
 from negopipe.evaluation.episodes import drive_episodes, warm_up
 from negopipe.evaluation.episodes_file import Drives
-from negopipe.evaluation.names import fixed_name
+from negopipe.evaluation.names import fixed_name, horizon_in_words
 from negopipe.game.game import Game
 from negopipe.report.figures import render
 from negopipe.report.map_figure import behaviour_map, reading
@@ -63,7 +63,7 @@ def drive_map(config: "RunConfig", game: Game) -> pd.DataFrame:
 
         def say(index: int) -> None:
             setting, style_s, horizon_s = pairs[index]
-            progress.advance(f"{setting}, ego {horizon_s:g} s, social {style_s:g} s")
+            progress.advance(f"{setting}, ego {horizon_in_words(horizon_s)}, social {horizon_in_words(style_s)}")
 
         return pd.DataFrame(side_by_side([partial(_drive, config, game, *pair) for pair in pairs], n, say))
 

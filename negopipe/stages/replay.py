@@ -58,7 +58,8 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     folder = tracked.folder / FOLDER
     folder.mkdir(exist_ok=True)
     name = "_".join(map(str, which))
-    scene, fixed_s = make_scene(config.scenario, game.simulator.road), config.evaluation.fixed_horizons_s
+    scene = make_scene(config.scenario, game.simulator.road, config.planner.horizon_s)
+    fixed_s = config.evaluation.fixed_horizons_s
     files = {
         "gif": animation.animate([trace], 0, scene, config.report.animation_fps, fixed_s, policy_trace),
         "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, fixed_s, policy_trace),

@@ -68,7 +68,14 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     sections = [
         planners_section(drawings, table, unseen_distances(config), fixed_s),
         negotiations_section(drawings, traces, road.corridor_sigma_m, fixed_s),
-        films_section(config.report, films, traces, make_scene(config.scenario, road), policy_traces, fixed_s),
+        films_section(
+            config.report,
+            films,
+            traces,
+            make_scene(config.scenario, road, config.planner.horizon_s),
+            policy_traces,
+            fixed_s,
+        ),
         behaviour_section(drawings, traces, config.scenario.road.corridor_length_m, tracked.folder / MAP_NAME, fixed_s),
         training_section(
             drawings, films, tracked, sorted({gap for gaps in unseen_distances(config).values() for gap in gaps})
@@ -87,8 +94,8 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     log.info("report: %s", tracked.folder / "report.html")
 
 
-def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
-    """The static scene as plain arrays for drawing."""
+def make_scene(scenario: ScenarioConfig, road: Road, plan_s: float) -> Scene:
+    """The static scene as plain arrays for drawing; plan_s: length of a plan, s."""
     reach_m = 60.0 + scenario.road.corridor_length_m / 2
     kerbs = road.kerb_lines(-reach_m, reach_m)
     sigma = torch.linspace(-reach_m, reach_m, kerbs.shape[1])
@@ -102,6 +109,7 @@ def make_scene(scenario: ScenarioConfig, road: Road) -> Scene:
         route_d_m=(direction * road.route_offset(s, direction)[0]).numpy(),
         vehicle_length_m=scenario.vehicle.length_m,
         vehicle_width_m=scenario.vehicle.width_m,
+        plan_s=plan_s,
     )
 
 

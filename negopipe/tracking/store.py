@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pandas as pd
 import yaml
 
-from negopipe.schema import Address, Label, PositiveFloat, PositiveInt, schema
+from negopipe.schema import INFINITE, Address, Label, PositiveFloat, PositiveInt, schema
 from negopipe.tracking.dashboard import chart_address
 from negopipe.tracking.database import (
     connect,
@@ -254,7 +254,7 @@ class TrackedRun:
         """Show a table, and compare it with the tables of other runs that have the same name."""
         path = self.folder / TABLES_NAME / f"{name}.json"
         path.parent.mkdir(exist_ok=True)
-        write_whole(path, table.to_json(orient="split", index=False).encode())
+        write_whole(path, table.replace({float(INFINITE): INFINITE}).to_json(orient="split", index=False).encode())
         self._tell("table", path=os.path.relpath(path, self.folder), folder=TABLES_NAME)
         self.deliver()
 

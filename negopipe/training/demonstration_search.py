@@ -89,9 +89,10 @@ def _table(name: str, best: Sequences, horizons_s: tuple[float, ...]) -> pd.Data
 
 def _replay(config: "RunConfig", game: Game, tasks: Task, texts: list[str]) -> tuple[Tensor, Tensor]:
     """Grids [D, F, H, W] uint8 and actions [D] int64 of all decisions in N episodes."""
-    horizons_s, device = list(config.policy.horizons_s), tasks.family.device
-    chosen = [torch.tensor([horizons_s.index(h) for h in from_text(text).tolist()], device=device) for text in texts]
-    horizons, world = torch.tensor(horizons_s, device=device), game.simulator.reset(tasks)
+    device = tasks.family.device
+    horizons, world = torch.tensor(config.policy.horizons_s, device=device), game.simulator.reset(tasks)
+    known = horizons.tolist()  # rounded to float32, as the texts are
+    chosen = [torch.tensor([known.index(h) for h in from_text(text).tolist()], device=device) for text in texts]
     grids, seen, actions = game.see(world), [], []
     for action in torch.nn.utils.rnn.pad_sequence(chosen, padding_value=-1):
         is_driving = action >= 0

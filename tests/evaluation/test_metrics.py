@@ -46,7 +46,7 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
 
 
 def drives_of(trace: Trace) -> Drives:
-    return Drives(trace, CORRIDOR_M, VehicleConfig(length_m=4.5, width_m=1.8), braking_mps2=8.0)
+    return Drives(trace, CORRIDOR_M, VehicleConfig(length_m=4.5, width_m=1.8), braking_mps2=8.0, plan_s=6.0)
 
 
 def concatenate(*traces: Trace) -> Trace:

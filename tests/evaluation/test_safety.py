@@ -152,7 +152,7 @@ def test_weaker_brakes_avoid_less() -> None:
 
 
 def row_of(trace: Trace) -> pd.Series:
-    return episodes(Drives(trace, 12.0, VEHICLE, BRAKING_MPS2)).iloc[0]
+    return episodes(Drives(trace, 12.0, VEHICLE, BRAKING_MPS2, plan_s=6.0)).iloc[0]
 
 
 def test_a_row_of_measures() -> None:

@@ -33,6 +33,7 @@ def make_scene() -> Scene:
         route_d_m=np.stack([keep_right, -keep_right]),
         vehicle_length_m=4.5,
         vehicle_width_m=1.8,
+        plan_s=6.0,
     )
 
 
@@ -167,7 +168,7 @@ def traces() -> list[Trace]:
 @pytest.fixture(scope="session")
 def table(traces: list[Trace]) -> pd.DataFrame:
     vehicle = VehicleConfig(length_m=4.5, width_m=1.8)
-    rows = [episodes(Drives(trace, CORRIDOR_M, vehicle, 8.0)) for trace in traces]
+    rows = [episodes(Drives(trace, CORRIDOR_M, vehicle, 8.0, 6.0)) for trace in traces]
     return pd.concat(rows, ignore_index=True)
 
 

@@ -41,6 +41,7 @@ class Config:
 
     name, seed, runs = "push", 3, None
     curriculum = SimpleNamespace(stages=[SimpleNamespace(families={})])
+    planner = SimpleNamespace(horizon_s=6.0)
     scenario: ScenarioConfig
     report: ReportConfig
     evaluation: Any = Evaluation()
@@ -260,7 +261,7 @@ def test_planners_must_have_driven_the_same_tasks(run: RecordedRun) -> None:
 
 def test_the_scene_is_the_road(run: RecordedRun) -> None:
     config = Config().scenario
-    scene = report.make_scene(config, Road(config.road))
+    scene = report.make_scene(config, Road(config.road), 6.0)
     sigma, x, y, heading = scene.line_m.T
     assert (x == sigma).all()
     assert not y.any()

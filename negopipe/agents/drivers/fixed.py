@@ -4,7 +4,7 @@ from typing import Literal
 
 from negopipe.agents.driver import ChooseHorizon, fixed_horizon
 from negopipe.agents.driver_config import HorizonRule
-from negopipe.schema import NonNegativeFloat, schema
+from negopipe.schema import Horizon, schema
 from negopipe.simulation.simulator import Simulator
 
 
@@ -16,7 +16,7 @@ class Config(HorizonRule):
     """
 
     kind: Literal["fixed"]
-    horizon_s: NonNegativeFloat
+    horizon_s: Horizon
 
     @property
     def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:

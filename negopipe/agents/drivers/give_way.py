@@ -11,7 +11,7 @@ from torch import Tensor
 from negopipe.agents.driver import ChooseHorizon
 from negopipe.agents.driver_config import HorizonRule
 from negopipe.agents.encounter import encounter
-from negopipe.schema import NonNegativeFloat, schema
+from negopipe.schema import Horizon, schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.simulator import Simulator
 
@@ -21,8 +21,8 @@ class Config(HorizonRule):
     """`conf/evaluation/baseline/give_way.yaml` says what each value means."""
 
     kind: Literal["give_way"]
-    waiting_horizon_s: NonNegativeFloat
-    going_horizon_s: NonNegativeFloat
+    waiting_horizon_s: Horizon
+    going_horizon_s: Horizon
 
     @property
     def prediction_horizons_s(self) -> dict[str, tuple[float, ...]]:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from negopipe.agents.driver import HorizonDriver
 from negopipe.agents.driver_config import DriverConfig
-from negopipe.schema import NonNegativeFloat, PositiveFloat, PositiveInt, schema
+from negopipe.schema import Horizon, NonNegativeFloat, PositiveFloat, PositiveInt, schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.state import EGO, Casting, Task, VehicleState, World
 from negopipe.tensors.tree import map_tensors
@@ -35,7 +35,7 @@ class Config(DriverConfig):
 
     kind: Literal["level_k"]
     n_episodes: PositiveInt | None
-    horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
+    horizons_s: Annotated[tuple[Horizon, ...], Field(min_length=1)]
     level: PositiveInt
     lookahead_s: PositiveFloat
     keep_s: PositiveFloat

@@ -9,7 +9,7 @@ from torch import Tensor
 from negopipe.agents.driver import HorizonDriver
 from negopipe.agents.driver_config import DriverConfig
 from negopipe.agents.horizon_drivers import sequence_planner
-from negopipe.schema import NonNegativeFloat, PositiveFloat, schema
+from negopipe.schema import Horizon, PositiveFloat, schema
 from negopipe.tensors.stateless_rng import mix
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ class Config(DriverConfig):
     """
 
     kind: Literal["random"]
-    horizons_s: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
+    horizons_s: Annotated[tuple[Horizon, ...], Field(min_length=1)]
     keep_s: PositiveFloat
 
     is_lockstep: ClassVar[bool] = True
