@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from composed import build
 from documented import (
     PAGES,
     ROOT,
@@ -21,8 +22,6 @@ from documented import (
     results,
     unsupported,
 )
-
-from negopipe.config.compose import compose_config
 
 DOCS = ROOT / "docs"
 EXTENSION = DOCS / "_ext"
@@ -80,7 +79,7 @@ def test_every_extension_is_named_with_its_files() -> None:
 
 @pytest.mark.parametrize("command", COMPOSED)
 def test_a_documented_command_composes(command: str) -> None:
-    compose_config(overrides(command) or [])
+    build(*(overrides(command) or []))
 
 
 @pytest.mark.parametrize("command", all_commands())

@@ -2,8 +2,7 @@
 
 import ast
 import pickle
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ from negopipe.errors import UserError
 from negopipe.stages.evaluate import checkpoint_of
 from negopipe.tracking.checkpoint import load_checkpoint
 
+Command = Callable[..., tuple[int, str, str]]
 PACKAGE = Path(negopipe.__file__).parent
 RUNS_CODE = {
     *("eval", "exec", "compile", "__import__"),
@@ -77,17 +77,17 @@ SWEPT = [(yaml, ["-m"]) for yaml in FOREIGN if "callbacks" in yaml or "job_loggi
 
 
 @pytest.mark.parametrize(("yaml", "mode"), [*((yaml, []) for yaml in FOREIGN), *SWEPT])
-def test_a_foreign_yaml_names_no_code_to_run(tmp_path: Path, yaml: str, mode: list[str]) -> None:
+def test_a_foreign_yaml_names_no_code_to_run(command: Command, tmp_path: Path, yaml: str, mode: list[str]) -> None:
     mark, pickled = tmp_path / "ran", tmp_path / "x.pt"
     pickled.write_bytes(pickle.dumps(Touch(mark)))
     (tmp_path / "experiment").mkdir()
     text = yaml.replace("MARK", str(mark)).replace("PICKLE", str(pickled))
     (tmp_path / "experiment" / "foreign.yaml").write_text(f"# @package _global_\n{text}\n")
     arguments = [*mode, "--config-dir", str(tmp_path), "+experiment=foreign", "seed=-1", f"outputs={tmp_path}/outputs"]
-    done = subprocess.run([sys.executable, "-m", "negopipe", *arguments], capture_output=True, text=True, check=False)
+    code, _, err = command(*arguments)
     assert not mark.exists()
-    assert done.returncode != 0
-    assert "Traceback" not in done.stderr
+    assert code != 0
+    assert "Traceback" not in err
 
 
 def test_a_path_is_a_path(tmp_path: Path) -> None:
