@@ -39,8 +39,8 @@ def is_group(key: str) -> bool:
     return "/" in key or (CONF / key).is_dir()
 
 
-def build(*overrides: str) -> RunConfig:
-    """What `negopipe.load_config` gives or refuses, faster where only values differ from an earlier call."""
+def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
+    """What negopipe's own gives or refuses, faster where only values differ from an earlier call."""
     options = tuple(text for text in overrides if is_group(text.lstrip("+").partition("=")[0]))
     try:
         config = applied(options, [text for text in overrides if text not in options])

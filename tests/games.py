@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import torch
+from composed import compose_config
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game
 from negopipe.simulation.scenario import FamilyConfig, TaskSampler

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from composed import build
+from composed import compose_config
 from documented import (
     PAGES,
     ROOT,
@@ -79,7 +79,7 @@ def test_every_extension_is_named_with_its_files() -> None:
 
 @pytest.mark.parametrize("command", COMPOSED)
 def test_a_documented_command_composes(command: str) -> None:
-    build(*(overrides(command) or []))
+    compose_config(overrides(command) or [])
 
 
 @pytest.mark.parametrize("command", all_commands())

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from composed import build
+from composed import compose_config
 from games import MIXTURE, draw_tasks
 from torch import Tensor
 
@@ -32,9 +32,13 @@ EVERYONE = ("planner", "any_horizon", "undecided", "late", "distracted", *RULES)
 SHORT = "scenario.episode_steps=40"
 
 
+def load_config(*overrides: str) -> RunConfig:
+    return compose_config(overrides)
+
+
 def config_with(*drivers: str, **values: object) -> RunConfig:
     changes = [f"population.drivers.{key.replace('__', '.')}={value}" for key, value in values.items()]
-    return build(f"population/driver=[{','.join(drivers)}]", SHORT, *changes)
+    return load_config(f"population/driver=[{','.join(drivers)}]", SHORT, *changes)
 
 
 def tasks_of(config: RunConfig, game: Game, n: int) -> Task:
@@ -43,7 +47,7 @@ def tasks_of(config: RunConfig, game: Game, n: int) -> Task:
 
 
 def drive(config: RunConfig, game: Game, ego: str, tasks: Task, n_worlds: int = 64) -> Trace:
-    every = build("evaluation/baseline=[fixed_4,idm,cautious,give_way,direction_first]", "report.side_by_side=[]")
+    every = load_config("evaluation/baseline=[fixed_4,idm,cautious,give_way,direction_first]", "report.side_by_side=[]")
     make_ego = partial(every.evaluation.baselines[ego].driver, game)
     return drive_episodes(game, make_ego, tasks, n_worlds, config.evaluation.reward, (ego, "x"))
 
@@ -68,7 +72,7 @@ def test_drivers_have_their_shares() -> None:
 
 
 def test_every_vehicle_has_a_driver_of_its_own() -> None:
-    config = build("population/driver=[idm,cautious]", "scenario.n_social=3")
+    config = load_config("population/driver=[idm,cautious]", "scenario.n_social=3")
     drivers = tasks_of(config, build_game(config), 500).casting.driver
     assert (drivers[:, EGO] == NOBODY).all()
     assert len(drivers[:, 1:].unique(dim=0)) == 2**3
@@ -92,9 +96,13 @@ def test_mixed_drivers_drive_as_each_alone() -> None:
 
 
 def test_a_batch_is_its_worlds_one_by_one() -> None:
+    """One world of every driver."""
     config = config_with(*EVERYONE)
     game = build_game(config)
-    tasks = tasks_of(config, game, 14)
+    tasks = tasks_of(config, game, 36)
+    drivers = tasks.casting.driver[:, 1].tolist()
+    first = torch.tensor([drivers.index(driver) for driver in range(len(EVERYONE))])
+    tasks = map_tensors(lambda field: field[first], tasks)
     together, apart = drive(config, game, "fixed_4", tasks), drive(config, game, "fixed_4", tasks, n_worlds=1)
     assert together.outcome.tolist() == apart.outcome.tolist()
     np.testing.assert_allclose(together.position_m, apart.position_m, atol=1e-3)
@@ -122,7 +130,7 @@ def test_a_social_driver_is_the_baseline_of_its_name(name: str) -> None:
 def test_one_direction_goes_first(scenario: str, first: str, goes_first: str) -> None:
     """Whoever arrives first; one_sided has the cars on the left, where the social vehicle drives."""
     value = f"population.drivers.direction_first.driver.first={first}"
-    config = build(*f"scenario={scenario}".split(), "population/driver=[direction_first]", value)
+    config = load_config(*f"scenario={scenario}".split(), "population/driver=[direction_first]", value)
     game = build_game(config)
     rule = config.population.drivers["direction_first"].driver
     assert isinstance(rule, DriverConfig)
@@ -145,7 +153,7 @@ def test_an_undecided_driver_draws_anew_every_second() -> None:
 
 def test_who_reacts_late_goes_by_what_it_saw() -> None:
     config = config_with("late", late__driver__reaction_s="[1.0,1.0]")
-    late, attentive = build_game(config), build_game(build(SHORT))
+    late, attentive = build_game(config), build_game(load_config(SHORT))
     tasks = tasks_of(config, late, 8)
     world, past = late.simulator.reset(tasks), []
     for step in range(12):
@@ -211,7 +219,7 @@ def test_the_ego_sees_with_its_own_eyes(config: RunConfig, game: Game) -> None:
 
 
 def test_sampled_choices_depend_on_task_step_and_vehicle_alone() -> None:
-    config = build("population/driver=[self]", "scenario.n_social=2")
+    config = load_config("population/driver=[self]", "scenario.n_social=2")
     game = build_game(config)
     sampling = policy_of(config, game)._replace(is_sampled=True)
     with torch.no_grad():
@@ -246,7 +254,7 @@ def test_sampled_choices_depend_on_task_step_and_vehicle_alone() -> None:
 )  # fmt: skip
 def test_a_wrong_population_is_one_line(overrides: tuple[str, ...], said: str) -> None:
     with pytest.raises(UserError) as error:
-        build(*overrides)
+        load_config(*overrides)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 

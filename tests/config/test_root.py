@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from composed import build
+from composed import compose_config
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
@@ -20,6 +20,10 @@ from negopipe.errors import UserError
 
 ROOT = Path(__file__).parents[2]
 OPTIONS = sorted(path.relative_to(CONF).with_suffix("") for path in CONF.glob("*/**/*.yaml"))
+
+
+def build(*overrides: str) -> RunConfig:
+    return compose_config(overrides)
 
 
 def job_commands() -> list[list[str]]:

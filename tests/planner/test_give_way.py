@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks, place
 from torch import Tensor
 
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import EGO, World
@@ -39,10 +39,13 @@ def meet(config: RunConfig, game: Game, s: list[list[float]], speed: list[list[f
 
 
 def drive(game: Game, world: World, horizon: Tensor, n_steps: int) -> list[World]:
+    """The worlds of every step; none after everyone has arrived."""
     worlds = [world]
     for _ in range(n_steps):
         world, _ = game.simulator.step(world, game.plan(game.perceive(world), horizon).state)
         worlds.append(world)
+        if world.has_reached.all():
+            break
     return worlds
 
 

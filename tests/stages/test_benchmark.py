@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch
+from composed import compose_config
 from torch.utils._python_dispatch import TorchDispatchMode
 from tracked import RecordedRun
 
@@ -16,7 +17,6 @@ from negopipe.benchmark.speed import BenchmarkConfig, latency_percentiles_ms, se
 from negopipe.benchmark.training_speed import measure_training
 from negopipe.benchmark.workload import OVERLAP, Workload, decision_workload
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.game.game import Game
 from negopipe.simulation.geometry import Boxes, overlap_depth
