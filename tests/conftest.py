@@ -2,11 +2,12 @@
 
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
+from tracked import Command
 
 import negopipe.__main__ as entry
 from negopipe.config.root import RunConfig
@@ -50,9 +51,6 @@ def new_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with store_lock(outputs):
         connect(outputs, None)
     return database_path(outputs)
-
-
-Command = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture

@@ -16,15 +16,13 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from tracked import ready_at
+from tracked import Command, ready_at
 
 import negopipe.__main__ as entry
 from negopipe.config.root import RunConfig
 from negopipe.runtime.interruption import DeferredInterrupt
 from negopipe.runtime.workers import side_by_side
 from negopipe.tracking.store import TrackedRun
-
-Command = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture

@@ -2,10 +2,10 @@
 
 import ast
 import pickle
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tracked import Command
 
 import negopipe
 from negopipe.envs.gymnasium import compose_config
@@ -13,7 +13,6 @@ from negopipe.errors import UserError
 from negopipe.stages.evaluate import checkpoint_of
 from negopipe.tracking.checkpoint import load_checkpoint
 
-Command = Callable[..., tuple[int, str, str]]
 PACKAGE = Path(negopipe.__file__).parent
 RUNS_CODE = {
     *("eval", "exec", "compile", "__import__"),

@@ -25,7 +25,6 @@ TINY = (
     "oracle.n_episodes=2",
     "oracle.population=3",
     "oracle.rounds=1",
-    "scenario.episode_steps=48",
 )
 
 

@@ -5,15 +5,14 @@ import re
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
+from tracked import Command
 
-Command = Callable[..., tuple[int, str, str]]
 PLANNERS = {"adaptive", "fixed_0", "fixed_2", "fixed_4", "fixed_6"}
 MEASURES = {"success_rate", "collision_rate", "timeout_rate", "driving_time_s", "suspend_count", "reward"}
 
