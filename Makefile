@@ -42,7 +42,7 @@ compare: $(READY)  ## compare the runs of NAME: tables with intervals, figures, 
 	@$(BIN)/python -m negopipe.sweeping.compare '$(OUTPUTS)/$(NAME)' $(ARGS)
 
 test: $(READY)  ## the fast tests
-	$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 test-slow: $(READY)  ## the tests that take longer
 	$(BIN)/python -m pytest -m slow $(ARGS)

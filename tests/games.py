@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import torch
+from composed import compose_config
 from torch import Tensor
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game
 from negopipe.simulation.road import RouteState
@@ -63,8 +63,11 @@ def meet(config: RunConfig, game: Game, s: list[list[float]], speed: list[list[f
 
 
 def drive(game: Game, world: World, horizon: Tensor, n_steps: int) -> list[World]:
+    """The worlds of every step; none after everyone has arrived."""
     worlds = [world]
     for _ in range(n_steps):
         world, _ = game.simulator.step(world, game.plan(game.perceive(world), horizon).state)
         worlds.append(world)
+        if world.has_reached.all():
+            break
     return worlds

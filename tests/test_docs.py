@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from composed import compose_config
 from documented import (
     PAGES,
     ROOT,
@@ -21,8 +22,6 @@ from documented import (
     results,
     unsupported,
 )
-
-from negopipe.config.compose import compose_config
 
 DOCS = ROOT / "docs"
 EXTENSION = DOCS / "_ext"

@@ -2,9 +2,9 @@
 
 import pytest
 import torch
+from composed import compose_config
 
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import build_game
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task

@@ -8,7 +8,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from tracked import Command, ready_at
 
 import negopipe.__main__ as entry
 from negopipe.config.root import RunConfig
@@ -23,26 +24,11 @@ from negopipe.runtime.interruption import DeferredInterrupt
 from negopipe.runtime.workers import side_by_side
 from negopipe.tracking.store import TrackedRun
 
-Command = Callable[..., tuple[int, str, str]]
-
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Command]:
-    """Runs the command line in this process, in an empty folder: arguments -> exit code, stdout, stderr."""
-    handler = signal.getsignal(signal.SIGTERM)
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["negopipe", *arguments])
-        try:
-            code = entry.main()
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        out, err = capfd.readouterr()
-        return code, out, err
-
-    yield run
-    signal.signal(signal.SIGTERM, handler)
+def stored(new_database: Path, tmp_path: Path) -> None:
+    """A store without runs in the folder `outputs`."""
+    ready_at(new_database, tmp_path / "outputs")
 
 
 def only_line(text: str) -> str:
@@ -141,23 +127,33 @@ def test_a_sweep_is_told_where_it_may_not_change_folders(command: Command) -> No
     assert not list(Path.cwd().rglob("mlflow*"))
 
 
+THREE_IN_ASCII = """
+import os, sys, negopipe.__main__ as entry
+
+for folder, *arguments in ((".", sys.argv[1]), (".", sys.argv[2]), ("\\udcc3\\udca4",)):
+    os.chdir(folder)
+    sys.argv[1:] = arguments
+    assert entry.main() == 1
+"""
+
+
 def test_a_command_line_that_is_not_read_as_utf8_is_told_so(tmp_path: Path) -> None:
-    """... and one that is, where the output is not."""
+    """... and a folder that is given, and one that is not."""
     latin = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    for outputs in ("outputs='ä'", "outputs=ä"):
-        call = [sys.executable, "-m", "negopipe", outputs]
-        result = subprocess.run(call, capture_output=True, text=True, cwd=tmp_path, env=latin, check=False)
-        said = "outputs must be UTF-8, which is read as ascii here (PYTHONUTF8=1 in front of it mends that), got "
-        assert only_line(result.stderr) == f"{said}\\udcc3\\udca4"
-    folder = tmp_path / "ä"
-    folder.mkdir()
-    call = [sys.executable, "-m", "negopipe"]
-    result = subprocess.run(call, capture_output=True, text=True, cwd=folder, env=latin, check=False)
-    assert only_line(result.stderr).startswith(said)
-    assert not list(folder.iterdir())
+    (tmp_path / "ä").mkdir()
+    call = [sys.executable, "-c", THREE_IN_ASCII, "outputs='ä'", "outputs=ä"]
+    result = subprocess.run(call, capture_output=True, text=True, cwd=tmp_path, env=latin, check=True)
+    said = "outputs must be UTF-8, which is read as ascii here (PYTHONUTF8=1 in front of it mends that), got "
+    quoted, plain, here = result.stderr.splitlines()
+    assert quoted == plain == f"{said}\\udcc3\\udca4"
+    assert here.startswith(said)
+    assert [path.name for path in tmp_path.rglob("*")] == ["ä"]
 
 
-def test_what_stdout_has_no_character_for_is_escaped(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_stdout_has_no_character_for_is_escaped(
+    command: Command, monkeypatch: pytest.MonkeyPatch, new_database: Path, tmp_path: Path
+) -> None:
+    ready_at(new_database, tmp_path / "ä")
     replace_stage(monkeypatch, "report", lambda config, run: print(config.tracking.experiment))
     out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", out)
@@ -170,6 +166,7 @@ def test_what_stdout_has_no_character_for_is_escaped(command: Command, monkeypat
     assert out.errors == "strict"
 
 
+@pytest.mark.usefixtures("stored")
 def test_the_command_line_works_in_a_thread(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     def stage(config: RunConfig, run: TrackedRun) -> None:
         with DeferredInterrupt():
@@ -181,6 +178,7 @@ def test_the_command_line_works_in_a_thread(command: Command, monkeypatch: pytes
     assert (code, err) == (0, "")
 
 
+@pytest.mark.usefixtures("stored")
 @pytest.mark.parametrize("handler", [signal.SIG_DFL, signal.SIG_IGN, lambda *_: None])
 def test_signal_handlers_stay_as_they_were(command: Command, monkeypatch: pytest.MonkeyPatch, handler: Any) -> None:
     found = []
@@ -201,8 +199,11 @@ def test_a_parallel_sweep_says_its_error_once(tmp_path: Path) -> None:
     assert only_line(result.stderr).startswith("planner.foo is not a known key, allowed: ")
 
 
-def test_stages_run_in_order_and_paths_are_shown(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stages_run_in_order_and_paths_are_shown(
+    command: Command, monkeypatch: pytest.MonkeyPatch, new_database: Path, tmp_path: Path
+) -> None:
     """... and a bug in one of them shows its traceback and leaves a record that says FAILED."""
+    ready_at(new_database, tmp_path / "here")
     calls = []
 
     def stage(name: str) -> Callable[..., None]:
@@ -214,23 +215,24 @@ def test_stages_run_in_order_and_paths_are_shown(command: Command, monkeypatch: 
 
         return run
 
-    for name in ("train", "evaluate", "report"):
+    for name in ("train", "oracle", "report"):
         replace_stage(monkeypatch, name, stage(name))
-    code, out, err = command("stages=[evaluate,report]", "seed=4", "outputs=here")
+    code, out, err = command("stages=[oracle,report]", "seed=4", "outputs=here")
     assert (code, err) == (0, "")
-    assert calls == [("evaluate", 4, True), ("report", 4, True)]
+    assert calls == [("oracle", 4, True), ("report", 4, True)]
     folder = re.search(r"^run +(\S+)$", out, flags=re.MULTILINE)
     assert folder is not None
     assert f"{folder[1]}/metrics.json" in out
     assert [path.name for path in Path.cwd().iterdir()] == ["here"]
 
-    code, out, err = command("stages=[evaluate,report]", "seed=5", "outputs=here")
+    code, out, err = command("stages=[oracle,report]", "seed=5", "outputs=here")
     assert code == 1
     assert "Traceback" in err
     assert "ZeroDivisionError: a bug" in err
     assert statuses(Path("here")) == {"seed4": "FINISHED", "seed5": "FAILED"}
 
 
+@pytest.mark.usefixtures("stored")
 def test_the_recorded_command_is_the_jobs_own(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """... of a sweep its job's, without -m, with the folder of its experiment, and never a later replay's."""
     told = {}
@@ -242,7 +244,8 @@ def test_the_recorded_command_is_the_jobs_own(command: Command, monkeypatch: pyt
         replace_stage(monkeypatch, name, stage)
     more = Path("my configs") / "experiment" / "mine.yaml"
     more.parent.mkdir(parents=True)
-    more.write_text("# @package _global_\nname: mine\n")
+    given = "policy: {precision: float32, memory_format: channels_last}"  # rather than timed
+    more.write_text(f"# @package _global_\nname: mine\n{given}\n")
     where = f"--config-dir '{more.parent.parent.absolute()}'"
     swept = ["-m", "--config-dir", "my configs", "+experiment=mine", "stages=[evaluate]", "seed=1,2"]
     assert command(*swept)[0] == 0

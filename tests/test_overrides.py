@@ -13,17 +13,12 @@ import tempfile
 import traceback
 import zlib
 from collections.abc import Callable, Iterator
-from copy import deepcopy
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra.core.override_parser.overrides_parser import OverridesParser
+from composed import applied, composed
 from hydra.errors import HydraException
-from hydra.types import RunMode
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from omegaconf import DictConfig, OmegaConf
@@ -31,7 +26,6 @@ from omegaconf.errors import OmegaConfBaseException
 from tracked import RecordedRun
 from yaml import YAMLError
 
-from negopipe import CONF
 from negopipe.config.messages import explain_composition
 from negopipe.config.root import RunConfig, load
 from negopipe.errors import UserError
@@ -76,12 +70,6 @@ DRIVEN = {"evaluate": evaluate, "behaviour_map": behaviour_map, "oracle": oracle
 Options = tuple[str, ...]
 
 
-@cache
-def composed(options: Options) -> DictConfig:
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("config", [*TINY, *options])
-
-
 def nodes(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """All keys below, mappings and lists as a whole as well; of a list of numbers its first item."""
     if key:
@@ -96,7 +84,7 @@ def all_keys() -> dict[str, tuple[Options, Any]]:
     """Key -> the options that it is a key of, and its value there."""
     keys: dict[str, tuple[Options, Any]] = {}
     for options in (OTHER_OPTIONS, ()):  # a key of both is tested with the defaults
-        for key, value in nodes(OmegaConf.to_container(composed(options), resolve=True)):
+        for key, value in nodes(OmegaConf.to_container(composed((*TINY, *options)), resolve=True)):
             stage = STAGE_OF.get(key.partition(".")[0])
             runs = (f"stages=[{stage}]",) if stage else ()
             keys[key] = ((*options, *runs), value)
@@ -171,19 +159,13 @@ def outcome(options: Options, override: str, compose_with: Callable[[Options, st
         return str(error)
 
 
-def applied(options: Options, override: str) -> DictConfig:
-    """What `composed_anew` gives for a key, twenty times faster."""
-    config = deepcopy(composed(options))
-    parsed = OverridesParser.create().parse_overrides([override])
-    ConfigLoaderImpl.validate_sweep_overrides_legal(parsed, RunMode.RUN, from_shell=True)
-    ConfigLoaderImpl._apply_overrides_to_config(parsed, config)
-    return config
+def set_in_a_copy(options: Options, override: str) -> DictConfig:
+    return applied((*TINY, *options), [override])
 
 
 def composed_anew(options: Options, override: str) -> DictConfig:
     """As the command line does it."""
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("config", [*TINY, *options, override])
+    return composed((*TINY, *options, override))
 
 
 def assert_tells(line: str, key: str) -> None:
@@ -201,7 +183,7 @@ def assert_tells(line: str, key: str) -> None:
      "planner={horizon_s: 7.0}", "planner.limits.foo=1", "scenario.families.push.style_switch=null", "name='a\nb'"],
 )  # fmt: skip
 def test_overrides_are_applied_as_on_the_command_line(override: str) -> None:
-    assert outcome((), override, applied) == outcome((), override, composed_anew)
+    assert outcome((), override, set_in_a_copy) == outcome((), override, composed_anew)
 
 
 @pytest.mark.parametrize("group", ["scenario", "planner/prediction"])
@@ -215,7 +197,7 @@ def test_an_option_that_does_not_exist_is_told_in_one_line(group: str, option: s
 @pytest.mark.parametrize("key", KEYS)
 def test_an_override_is_accepted_or_refused_in_one_line(key: str) -> None:
     def check(override: str) -> None:
-        result = outcome(KEYS[key][0], override, applied)
+        result = outcome(KEYS[key][0], override, set_in_a_copy)
         if isinstance(result, str):
             assert_tells(result, key)
 
@@ -226,7 +208,7 @@ def test_an_override_is_accepted_or_refused_in_one_line(key: str) -> None:
 @pytest.mark.parametrize("key", [*KEYS])
 def test_an_override_ends_in_one_line_or_in_a_valid_run(key: str, tmp_path: Path) -> None:
     def check(override: str) -> None:
-        result = outcome(KEYS[key][0], override, applied)
+        result = outcome(KEYS[key][0], override, set_in_a_copy)
         if isinstance(result, str):
             assert_tells(result, key)
         else:

@@ -68,8 +68,10 @@ def test_the_face_is_listed_and_every_name_is_there() -> None:
         _ = negopipe.make_envs  # type: ignore[attr-defined]
 
 
-def test_the_example_of_the_readme_arrives() -> None:
-    assert run(SNIPPET).splitlines() == ["arrived"]
+def test_the_example_of_the_readme_arrives(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    exec(SNIPPET, {})
+    assert capsys.readouterr().out.splitlines() == ["arrived"]
 
 
 def test_load_config_composes_like_the_command_line() -> None:

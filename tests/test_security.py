@@ -2,11 +2,10 @@
 
 import ast
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from tracked import Command
 
 import negopipe
 from negopipe.envs.gymnasium import compose_config
@@ -77,17 +76,17 @@ SWEPT = [(yaml, ["-m"]) for yaml in FOREIGN if "callbacks" in yaml or "job_loggi
 
 
 @pytest.mark.parametrize(("yaml", "mode"), [*((yaml, []) for yaml in FOREIGN), *SWEPT])
-def test_a_foreign_yaml_names_no_code_to_run(tmp_path: Path, yaml: str, mode: list[str]) -> None:
+def test_a_foreign_yaml_names_no_code_to_run(command: Command, tmp_path: Path, yaml: str, mode: list[str]) -> None:
     mark, pickled = tmp_path / "ran", tmp_path / "x.pt"
     pickled.write_bytes(pickle.dumps(Touch(mark)))
     (tmp_path / "experiment").mkdir()
     text = yaml.replace("MARK", str(mark)).replace("PICKLE", str(pickled))
     (tmp_path / "experiment" / "foreign.yaml").write_text(f"# @package _global_\n{text}\n")
     arguments = [*mode, "--config-dir", str(tmp_path), "+experiment=foreign", "seed=-1", f"outputs={tmp_path}/outputs"]
-    done = subprocess.run([sys.executable, "-m", "negopipe", *arguments], capture_output=True, text=True, check=False)
+    code, _, err = command(*arguments)
     assert not mark.exists()
-    assert done.returncode != 0
-    assert "Traceback" not in done.stderr
+    assert code != 0
+    assert "Traceback" not in err
 
 
 def test_a_path_is_a_path(tmp_path: Path) -> None:

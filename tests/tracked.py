@@ -1,12 +1,24 @@
-"""A tracked run without a store, for tests of single stages."""
+"""A tracked run without a store, for tests of single stages, and a store without runs."""
 
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from negopipe.tracking.database import database_path
 from negopipe.tracking.metrics_file import merge_into, read
 from negopipe.tracking.run_folder import METRICS_NAME
+
+Command = Callable[..., tuple[int, str, str]]
+"""Runs the command line: arguments -> exit code, stdout, stderr."""
+
+
+def ready_at(new_database: Path, outputs: Path) -> None:
+    """Put a copy of a new store into an outputs folder: making one takes MLflow a second or two."""
+    database_path(outputs).parent.mkdir(parents=True)
+    shutil.copyfile(new_database, database_path(outputs))
 
 
 class RecordedRun:

@@ -19,13 +19,16 @@ RENAMED = {
 """Old name -> new name. A name is a key, a key with one of its values (`=`), a group (`/`) or a group with one of its
 options. `*` stands for any name."""
 
+_PATTERNS = {
+    old: re.compile(rf"{re.escape(old)}(?:[./=].*)?".replace(r"\*", r"(\w+)"), flags=re.DOTALL) for old in RENAMED
+}
+"""Old name -> pattern of it and of the names below it."""
+
 
 def renaming(name: str) -> str | None:
     """Message for an old name or for a name below it; None for any other name."""
     for old, new in RENAMED.items():
-        pattern = re.escape(old).replace(r"\*", r"(\w+)")
-        found = re.fullmatch(rf"{pattern}(?:[./=].*)?", name, flags=re.DOTALL)
-        if found:
+        if found := _PATTERNS[old].fullmatch(name):
             any_name = "".join(found.groups())
             return f"{old} is now {new}".replace("*", any_name)
     return None

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from composed import compose_config
 from games import draw_tasks
 
 from negopipe.agents import route_following
@@ -16,7 +17,6 @@ from negopipe.agents.driver_config import DriverConfig
 from negopipe.agents.drivers import CONFIGS, cautious, level_k, random_horizon
 from negopipe.agents.encounter import Encounter, encounter
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.game.game import Game, build_game

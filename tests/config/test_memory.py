@@ -4,10 +4,10 @@ from dataclasses import is_dataclass, replace
 from typing import Any
 
 import pytest
+from composed import compose_config
 
 from negopipe.checks import Memory
 from negopipe.config import root
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig, check_components
 from negopipe.errors import UserError
 

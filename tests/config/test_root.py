@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from composed import compose_config
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
@@ -15,7 +16,6 @@ from negopipe import CONF
 from negopipe.config.messages import as_text, unknown_key
 from negopipe.config.root import RESULT_NEUTRAL, RunConfig, as_mapping, load, run_name
 from negopipe.environment import expanded
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 
 ROOT = Path(__file__).parents[2]
@@ -256,5 +256,5 @@ def test_the_config_can_be_read_back_from_its_mapping() -> None:
 def test_all_baselines_are_those_that_react_to_the_other() -> None:
     folder = CONF / "evaluation" / "baseline"
     single = {path.stem for path in folder.glob("*.yaml")} - {"all", "paper", "idm", "direction_first", "fixed_inf"}
-    assert set(compose_config(["evaluation/baseline=all"]).evaluation.baselines) == single
-    assert list(compose_config().evaluation.baselines) == ["fixed_0", "fixed_2", "fixed_4", "fixed_6"]
+    assert set(build("evaluation/baseline=all").evaluation.baselines) == single
+    assert list(build().evaluation.baselines) == ["fixed_0", "fixed_2", "fixed_4", "fixed_6"]

@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks, place
 from torch import Tensor
 
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
 from negopipe.planner.braking import BrakingCandidates, BrakingConfig, StopConfig
 from negopipe.simulation.road import RouteState

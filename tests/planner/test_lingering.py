@@ -2,11 +2,11 @@
 
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks, meet
 from torch import Tensor
 
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
 from negopipe.planner.lingering import Lingering
 from negopipe.simulation.perception import Perception

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import pytest
 import torch
+from composed import compose_config
 from situations import world_boxes
 from torch import Tensor
 
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import build_game
 from negopipe.planner.roadside import Roadside
 from negopipe.simulation.geometry import overlap_depth

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks, pass_through
 from situations import draw_situations
 from torch import Tensor
 
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
 from negopipe.planner.config import LimitConfig
 from negopipe.planner.frenet import FrenetPlanner

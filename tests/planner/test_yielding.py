@@ -1,12 +1,13 @@
 """Who waits makes room: pulling aside, the places to stop at, and the other options that act on the outcome."""
 
+from functools import cache
 from typing import NamedTuple
 
 import pytest
 import torch
+from composed import compose_config
 from torch import Tensor
 
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Motion, World
@@ -22,6 +23,7 @@ class Outcome(NamedTuple):
     beside: Tensor
 
 
+@cache
 def negotiate(ego_s: float, *overrides: str) -> Outcome:
     """The yield family: the ego predicts `ego_s` seconds, the other two, and comes first."""
     config = compose_config(overrides)
@@ -37,6 +39,8 @@ def negotiate(ego_s: float, *overrides: str) -> Outcome:
         beside = route.d - road.route_offset(route.s, task.direction)[0]
         waits = (world.vehicles.speed[:, EGO] < 0.1) & (route.s[:, EGO] < 0) & (world.step > 5)
         rests.append(torch.stack([route.s[waits, EGO], beside[waits, EGO]]))
+        if is_success.all():
+            break
     return Outcome(is_success & ~world.has_collided.any(-1), *torch.cat(rests, dim=1))
 
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from composed import compose_config
 from tracked import RecordedRun
 
-from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.comparison import versus_adaptive
 from negopipe.evaluation.measures import summary
 from negopipe.report.description import log_summary, run_description

@@ -49,7 +49,7 @@ class Config:
     def __init__(self, **changed: Any) -> None:
         scenario = yaml.safe_load((CONF / "scenario" / "narrow_lane.yaml").read_text())
         self.scenario = TypeAdapter(ScenarioConfig).validate_json(json.dumps(scenario), strict=True)
-        quick = {"figure_formats": ("png",), "n_animations": 0, "side_by_side": (), "animation_fps": 2}
+        quick = {"figure_formats": ("svg",), "n_animations": 0, "side_by_side": (), "animation_fps": 2}
         self.report = ReportConfig(**(quick | changed))
 
 
@@ -190,8 +190,8 @@ def test_a_browser_shows_it_all_without_errors_or_scrolling_sideways(run: Record
 
 
 def test_the_options_of_the_report_have_effects(run: RecordedRun) -> None:
-    report.run(Config(figure_formats=("svg",)), run)
-    assert {path.suffix for path in (run.folder / "figures").glob("*.*")} == {".svg"}
+    report.run(Config(figure_formats=("png",)), run)
+    assert {path.suffix for path in (run.folder / "figures").glob("*.*")} == {".png"}
     page = (run.folder / "report.html").read_text()
     assert page.count("data:image/gif") == 1  # of the training, no episode
     assert "Learning curves" in page

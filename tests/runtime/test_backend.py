@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from composed import compose_config
 
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.game.game import build_game
 from negopipe.runtime import backend

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
+from composed import compose_config
 
-from negopipe.envs.gymnasium import compose_config
 from negopipe.runtime.identity import DEPENDS_ON, source_hash, stage_key
 from negopipe.tracking.checkpoint import save_checkpoint
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from composed import compose_config
 
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.runtime import backend, network_choice
 from negopipe.runtime.network_choice import Variant, fastest, resolve_auto, time_variants, variants
 

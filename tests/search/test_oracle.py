@@ -24,7 +24,7 @@ def few_switches() -> Iterator[None]:
     """A coarse grid to start from, for time; with three decisions there is none at all."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(oracle, "SWITCH_STEPS", (8, 24))
-        patch.setattr(oracle, "SWITCH_PAIRS", ((8, 24),))
+        patch.setattr(oracle, "SWITCH_PAIRS", ())
         yield
 
 

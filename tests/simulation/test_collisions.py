@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks, place
 from torch import Tensor
 
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.collisions import GRAZE_M, CollisionCheck
 from negopipe.simulation.geometry import boxes_from_pose, overlap_depth

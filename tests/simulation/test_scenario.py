@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+from composed import compose_config
 from games import MIXTURE, draw_tasks
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.simulation.scenario import Families, FamilyConfig, StyleSwitchConfig, TaskSampler, pair_styles
 from negopipe.simulation.state import EGO, Task

@@ -2,11 +2,11 @@
 
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks
 
 from negopipe import CONF
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
 from negopipe.simulation.road import RouteState

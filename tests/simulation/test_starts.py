@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from composed import compose_config
 
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.game.game import build_game
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig, TaskSampler

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from composed import compose_config
 from games import MIXTURE, draw_tasks
 from torch import Tensor
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
 from negopipe.game.environment import NegotiationEnv

@@ -7,13 +7,13 @@ from typing import Any
 import pandas as pd
 import pytest
 import torch
+from composed import compose_config
 from games import tiny_config
 from tracked import RecordedRun
 
 from negopipe.agents.driver import fixed_horizon
 from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.config.root import RunConfig, run_name
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, claims, trends
 from negopipe.evaluation.episodes import drive_episodes

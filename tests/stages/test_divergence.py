@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from composed import compose_config
 from tracked import RecordedRun
 
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import Rollout

@@ -6,11 +6,11 @@ from typing import Any
 import pandas as pd
 import pytest
 import torch
+from composed import compose_config
 from games import tiny_config
 from tracked import RecordedRun
 
 from negopipe.config.root import RunConfig, run_name
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.game.game import Game
 from negopipe.runtime.build import build, save_policy
@@ -36,8 +36,8 @@ def tiny(*overrides: str) -> RunConfig:
 def ran(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
     run = RecordedRun(tmp_path_factory.mktemp("run"))
     with pytest.MonkeyPatch.context() as patch:  # a coarse grid to start from, for time
-        patch.setattr(search, "SWITCH_STEPS", (8, 24))
-        patch.setattr(search, "SWITCH_PAIRS", ((8, 24),))
+        patch.setattr(search, "SWITCH_STEPS", (8,))
+        patch.setattr(search, "SWITCH_PAIRS", ())
         oracle.run(tiny(), run)
     return run
 

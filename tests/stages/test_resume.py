@@ -8,9 +8,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+from composed import compose_config
 from tracked import RecordedRun
 
-from negopipe.envs.gymnasium import compose_config
 from negopipe.runtime.interruption import DeferredInterrupt
 from negopipe.stages import train
 from negopipe.tracking.snapshots import Snapshots

@@ -1,12 +1,11 @@
 """A store that the tests of a module share: creating one takes MLflow a second or two."""
 
-import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from tracked import ready_at
 
-from negopipe.tracking.database import connect, database_path, store_lock
 from negopipe.tracking.store import TrackingConfig
 
 TRACKING = TrackingConfig(
@@ -39,20 +38,9 @@ def empty(tmp_path: Path) -> Config:
     return Config(outputs=str(tmp_path / "outputs"))
 
 
-@pytest.fixture(scope="session")
-def new_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store without runs, to be copied."""
-    outputs = tmp_path_factory.mktemp("new")
-    with store_lock(outputs):
-        connect(outputs, None)
-    return database_path(outputs)
-
-
 @pytest.fixture
 def ready(tmp_path: Path, new_database: Path) -> Config:
     """Outputs with a store without runs."""
     config = Config(outputs=str(tmp_path / "outputs"))
-    place = database_path(Path(config.outputs))
-    place.parent.mkdir(parents=True)
-    shutil.copyfile(new_database, place)
+    ready_at(new_database, Path(config.outputs))
     return config

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from mlflow import MlflowClient
+from tracked import ready_at
 
 from negopipe.errors import UserError
 from negopipe.tracking import dashboard, database
@@ -38,11 +39,6 @@ def artifacts(config: StoreConfig, run: TrackedRun) -> list[str]:
     client = find_store(config)
     assert client is not None
     return sorted(file.path for file in client.list_artifacts(run.run_id))
-
-
-def ready_at(new_database: Path, outputs: Path) -> None:
-    database_path(outputs).parent.mkdir(parents=True)
-    shutil.copyfile(new_database, database_path(outputs))
 
 
 @pytest.mark.parametrize("name", NAMES)
