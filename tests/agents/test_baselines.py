@@ -27,7 +27,8 @@ from negopipe.simulation.waiting_place import waiting_place
 TOGETHER = {"paper", "all"}
 """Options that stand for several."""
 FOLDER = Path(__file__).parents[2] / "conf/evaluation/baseline"
-FILES = sorted(path for path in FOLDER.glob("*.yaml") if path.stem not in TOGETHER)
+NOT_WITH_THIS_PLANNER = ("fixed_inf",)
+FILES = sorted(path for path in FOLDER.glob("*.yaml") if path.stem not in (*TOGETHER, *NOT_WITH_THIS_PLANNER))
 NAMES = [path.stem for path in FILES]
 
 
