@@ -43,17 +43,21 @@ def progress(game: Game, worlds: list[World]) -> Tensor:
 @pytest.mark.parametrize("street", STREETS)
 def test_nose_to_nose_the_one_that_predicts_far_makes_room(street: str) -> None:
     config, game = built(f"scenario={street}")
-    pairs = [(6.0, 2.0), (6.0, 4.0), (2.0, 6.0), (INF, 2.0), (6.0, 6.0), (INF, INF), (4.0, 4.0)]
+    pairs = [(6.0, 2.0), (6.0, 4.0), (2.0, 6.0), (INF, 2.0), (6.0, 6.0), (INF, INF)]
     world = stand(config, game, [NOSE_TO_NOSE] * len(pairs))
     worlds = drive(game, world, torch.tensor(pairs), config.scenario.episode_steps)
     assert not worlds[-1].has_collided.any()
-    assert worlds[-1].has_reached[:-1].all()
-    assert not worlds[-1].has_reached[-1].any()  # a prediction of 4 s is too short: they stand there for ever
+    assert worlds[-1].has_reached.all()
     back = progress(game, worlds[:1])[0] - progress(game, worlds).amin(0)
     one_by_six = torch.tensor([[True, False], [True, False], [False, True], [True, False]])
     assert ((back[:4] > 5.0) == one_by_six).all()
-    assert ((back[4:6] > 5.0).sum(1) == 1).all()  # of two the one with the shorter way back
-    assert (back[-1] == 0).all()
+    assert ((back[4:] > 5.0).sum(1) == 1).all()  # of two the one with the shorter way back
+
+
+def test_a_short_prediction_is_not_enough(narrow: tuple[RunConfig, Game]) -> None:
+    config, game = narrow
+    worlds = drive(game, stand(config, game, [NOSE_TO_NOSE]), torch.tensor([[4.0, 4.0]]), 20)
+    assert (torch.stack([world.vehicles.speed for world in worlds]) == 0).all()
 
 
 def test_who_reverses_does_so_at_walking_pace(narrow: tuple[RunConfig, Game]) -> None:
@@ -173,10 +177,10 @@ def test_options_act(option: str) -> None:
 def test_random_drives_stay_sound() -> None:
     """Random horizons from wide starts: finite, within the limits, and nobody reverses into anybody."""
     config, game = built("scenario.n_social=3", "scenario.social_spacing_m=7.0")
-    n, draws = 64, torch.Generator().manual_seed(3)
+    n, draws = 16, torch.Generator().manual_seed(3)
     world, horizons = game.simulator.reset(draw_tasks(config, n)), torch.tensor([0.0, 2.0, 4.0, 6.0, INF])
     kept, n_backwards, horizon = torch.zeros(n, dtype=torch.bool), 0, torch.zeros(n, 4)
-    for step in range(120):
+    for step in range(70):
         if step % 10 == 0:
             horizon = horizons[torch.randint(5, (n, 4), generator=draws)]
         motion = game.plan(game.perceive(world), horizon)
@@ -187,7 +191,7 @@ def test_random_drives_stay_sound() -> None:
         n_backwards += int((backwards & ~kept[:, None]).sum())
         assert not (hits_behind(config, before.vehicles, motion.state) & backwards & ~kept[:, None]).any()
         kept |= world.has_collided.any(1)
-    assert n_backwards > 100
+    assert n_backwards > 20
 
 
 def hits_behind(config: RunConfig, before: VehicleState, after: VehicleState) -> Tensor:
