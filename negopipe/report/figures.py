@@ -191,7 +191,8 @@ def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
             axis.axvline(mouth_m, color="white", linewidth=2.2)
             axis.axvline(mouth_m, color=INK, linestyle="--", linewidth=1.0)
         axis.set(ylim=(0, 100), ylabel="decisions [%]", title=setting_label(trace.setting))
-        axis.text(corridor_length_m / 2, 102, "corridor", ha="center", va="bottom", color=QUIET, fontsize=8.5)
+        if edges_m[0] < corridor_length_m / 2 < edges_m[-1]:  # a text beside the axes would leave them no room
+            axis.text(corridor_length_m / 2, 102, "corridor", ha="center", va="bottom", color=QUIET, fontsize=8.5)
     axes[-1].set(xlabel="ego from the mouth of the corridor [m]", xlim=(edges_m[0], edges_m[-1]))
     _horizon_legend(figure, levels)
     return figure
