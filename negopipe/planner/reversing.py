@@ -23,7 +23,7 @@ from negopipe.tensors.tree import map_tensors
 
 ROUNDING_M = 0.02
 """Distance by which a place may be missed, m."""
-AT_REST_MPS = 1e-3
+STILL_MPS = 1e-3
 """Speed below which a planned vehicle is at rest, m/s."""
 CREEPING_MPS = 0.1
 """Speed backwards from which on a vehicle is seen to reverse, m/s."""
@@ -95,7 +95,7 @@ class Reversing:
         """
         way = route.s - self.passage.waiting_s(direction) + self.config.beyond_m
         path = self._path(route, direction)
-        stays = (route.s_dot.abs() <= AT_REST_MPS) & (ahead.s_dot.abs() <= AT_REST_MPS)
+        stays = (route.s_dot.abs() <= STILL_MPS) & (ahead.s_dot.abs() <= STILL_MPS)
         is_asked = (horizon >= self.config.least_horizon_s) & self._is_in_the_way(route, direction, way, others)
         is_free = self._is_drivable(route, direction, way, path) & self._is_clear(route, way, others)
         goes = is_asked & is_free & (stays | (route.s_dot < 0)) & (way > ROUNDING_M) & (way <= self.config.length_m)
@@ -160,7 +160,7 @@ class Reversing:
         fastest = torch.sqrt((change / 2) ** 2 + 2 * config.accel_mps2 * left) - change / 2
         after = torch.minimum(fastest.clamp(max=config.speed_mps), speed + change)
         after = torch.maximum(after, (speed - change).clamp(min=0))
-        after = torch.where(after < AT_REST_MPS, 0.0, after)
+        after = torch.where(after < STILL_MPS, 0.0, after)
         halting = speed**2 / (2 * config.accel_mps2)  # m, of who comes to rest within the step
         back = torch.where((after == 0) & (speed < change), halting, (speed + after) / 2 * dt)
         s, d, d_prime, d_pprime = self._at(route, direction, path, back)
