@@ -8,9 +8,9 @@ into one line.
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PlainSerializer
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from typing_extensions import dataclass_transform
 
@@ -62,10 +62,36 @@ Horizon = Annotated[
     PlainSerializer(_to_plain, when_used="json"),
 ]
 """Prediction horizon, s; infinity, or the text `inf`, gives way. `planner.give_way` must then be set."""
+
+
+def _or_interval(number: Any) -> Any:
+    """Type of a value of type `number` or of an interval [low, high] of such."""
+    one = TypeAdapter(number)
+    two = TypeAdapter(Annotated[list[number], Field(min_length=2, max_length=2), AfterValidator(_is_ordered)])
+
+    def validate(value: Any) -> Any:
+        if isinstance(value, list | tuple):
+            return tuple(two.validate_python(list(value), strict=True))
+        return one.validate_python(value, strict=True)
+
+    return Annotated[number | tuple[number, number], PlainValidator(validate)]
+
+
 PositiveMetres = PositiveFloat
 NonNegativeMetres = NonNegativeFloat
 Fraction = Annotated[float, Field(ge=0, le=1)]
 PositiveInt = Annotated[int, Field(ge=1)]
+if TYPE_CHECKING:
+    RealRange: TypeAlias = float | tuple[float, float]
+    FractionRange: TypeAlias = float | tuple[float, float]
+    SizeRange: TypeAlias = float | tuple[float, float]
+    DistanceRange: TypeAlias = float | tuple[float, float]
+    CountRange: TypeAlias = int | tuple[int, int]
+else:
+    RealRange, FractionRange = _or_interval(Real), _or_interval(Fraction)
+    SizeRange, DistanceRange = _or_interval(PositiveMetres), _or_interval(NonNegativeMetres)
+    CountRange = _or_interval(PositiveInt)
+"""A number, or the interval [low, high] that it is drawn from."""
 NonNegativeInt = Annotated[int, Field(ge=0)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Label = Annotated[str, Field(min_length=1, max_length=100)]

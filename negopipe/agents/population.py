@@ -168,7 +168,7 @@ class Cast:
         self.names = tuple(population.drivers)
         self.learned = {i: d for i, d in enumerate(drivers) if isinstance(d, PolicyDriver | SelfDriver)}
         weights = torch.tensor([each.weight for each in population.drivers.values()], dtype=torch.float64)
-        self._until = (weights.cumsum(0) / weights.sum()).float().to(simulator.road.parked_cars.device)
+        self._until = (weights.cumsum(0) / weights.sum()).float().to(simulator.road.device)
         self._planners = {i: d for i, d in enumerate(drivers) if isinstance(d, PlannerStyle)}
         self._horizon_rules = {i: d.choose(simulator) for i, d in enumerate(drivers) if isinstance(d, HorizonRule)}
         self._motion_rules = {i: d.rule(simulator) for i, d in enumerate(drivers) if isinstance(d, MotionRule)}

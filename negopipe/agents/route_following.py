@@ -17,7 +17,7 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.simulator import Simulator
 from negopipe.simulation.state import Motion
-from negopipe.simulation.waiting_place import waiting_place
+from negopipe.simulation.waiting_place import waiting_places
 from negopipe.tensors.tree import map_tensors
 
 FREE_M = 1e3
@@ -82,12 +82,12 @@ def idm(config: RouteFollowingConfig, speed: Tensor, desired_speed: Tensor, hind
 
 def vehicle_ahead(met: Encounter, length_m: float) -> Hindrance:
     """The nearest vehicle that drives ahead in the same direction."""
-    return _nearest_of(met, met.is_ahead, met.other_s - met.own.s[..., None] - length_m, -met.other_speed)
+    return _nearest_of(met, met.is_ahead, met.other_s - met.own_s[..., None] - length_m, -met.other_speed)
 
 
 def nose_to_nose(met: Encounter, length_m: float) -> Hindrance:
     """The nearest oncoming vehicle, where both have their fronts in the corridor."""
-    is_inside = (met.own.s[..., None] > -length_m / 2) & (met.other_s > -length_m / 2)
+    is_inside = (met.own_s[..., None] > -length_m / 2) & (met.other_s > -length_m / 2)
     in_the_way = met.is_oncoming & is_inside & (met.apart_m > 0)
     return _nearest_of(met, in_the_way, met.apart_m - length_m, met.other_speed)
 
@@ -103,31 +103,24 @@ def on_route(simulator: Simulator, perception: Perception, met: Encounter) -> Hi
     return nearest(on_it, nose_to_nose(met, length_m))
 
 
-def stop_line(met: Encounter, must_wait: Tensor, place: "WaitingPlace", gap_m: float, direction: Tensor) -> Hindrance:
-    """The line before the corridor at which an agent that `must_wait` [E, S] comes to rest.
+class StopLines:
+    """Lines before the narrow places of a road at which vehicles come to rest that let the others through.
 
-    It counts also past the line, as long as the other can still pass.
-    """
-    is_along = (direction > 0).long()
-    can_wait = met.own.s < place.latest_m[is_along] + LEAST_GAP_M
-    left = place.wanted_m[is_along] - met.own.s
-    return Hindrance(torch.where(must_wait & can_wait, left + gap_m, FREE_M), met.own.s_dot)
-
-
-class WaitingPlace(NamedTuple):
-    """Where a vehicle waits, by direction (index 1 = along the line), m on its route.
-
-    wanted_m: [2] float32, where it comes to rest
-    latest_m: [2] float32, the last place that the other can pass
+    stop_s_m: place of a line behind the mouth; where the other cannot pass there, the next place before it is taken
+    gap_m: gap that the driver keeps
     """
 
-    wanted_m: Tensor
-    latest_m: Tensor
+    def __init__(self, simulator: Simulator, stop_s_m: float, gap_m: float) -> None:
+        self._road, self._gap_m = simulator.road, gap_m
+        self._ends = simulator.road.narrow_places[..., 1]
+        self._wanted, self._latest = (waiting_places(simulator.collisions, latest_m) for latest_m in (stop_s_m, 0.0))
 
-
-def waiting_places(simulator: Simulator, stop_s_m: float) -> WaitingPlace:
-    """Waiting places at `stop_s_m`, or at the next place from there on that the other can pass on its route."""
-    return WaitingPlace(_by_direction(simulator, stop_s_m), _by_direction(simulator, 0.0))
+    def hindrance(self, met: Encounter, must_wait: Tensor, direction: Tensor) -> Hindrance:
+        """The line of agents that `must_wait` [E, S]; it counts also past it, as long as the other can still pass."""
+        s = met.own.s
+        latest, wanted = (self._road.of_place(each, self._ends, s, direction) for each in (self._latest, self._wanted))
+        can_wait, left = s < latest + LEAST_GAP_M, wanted - s
+        return Hindrance(torch.where(must_wait & can_wait, left + self._gap_m, FREE_M), met.own.s_dot)
 
 
 def nearest(a: Hindrance, b: Hindrance) -> Hindrance:
@@ -140,9 +133,3 @@ def _nearest_of(met: Encounter, is_counted: Tensor, gap_m: Tensor, approaching_m
     """The nearest of those others that count; gaps, and their speeds towards the agent, [E, S, O]."""
     gap, which = torch.where(is_counted, gap_m, FREE_M).min(-1, keepdim=True)
     return Hindrance(gap[..., 0], met.own.s_dot + approaching_mps.gather(-1, which)[..., 0])
-
-
-def _by_direction(simulator: Simulator, latest_s_m: float) -> Tensor:
-    """[2] float32: waiting places of vehicles that drive against the line and along it, m."""
-    places = [waiting_place(simulator.collisions, latest_s_m, direction) for direction in (-1.0, 1.0)]
-    return torch.tensor(places, device=simulator.road.parked_cars.device)

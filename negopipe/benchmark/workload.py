@@ -62,11 +62,11 @@ def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
         bytes = 2 V (state + J pose + flags) + V task + 3 counters + F H W
     """
     n_vehicles = 1 + scenario.n_social
-    n_others, n_parked = scenario.n_social, len(game.simulator.road.parked_cars)
+    n_others, n_parked = scenario.n_social, game.simulator.road.parked_boxes().x.shape[-1]
     flops = n_vehicles * (_plan(game, n_others) + (n_others + n_parked) * OVERLAP)
     n_frames, height, width = game.observation_shape
     n_words = -(-width // _WORD_BITS)
-    n_beyond_kerbs = game.simulator.road.off_road_boxes().x.numel()
+    n_beyond_kerbs = game.simulator.road.off_road_boxes().x.shape[-1]
     n_rows = (n_frames * n_vehicles + n_parked + n_beyond_kerbs) * height  # of boxes
     flops += n_rows * (_CROSSING + n_words * _WORD) + n_frames * height * width * _CELL
     state = 4 * (_STATE_FLOATS + (1 + game.simulator.sensor.memory_steps) * _POSE_FLOATS) + _FLAG_BYTES
@@ -79,7 +79,7 @@ def _plan(game: Game, n_others: int) -> int:
     planner = game.planner
     n_lateral, n_longitudinal = planner.lateral.n_candidates, planner.longitudinal.n_candidates
     n_times, n_stations = len(planner.times), len(planner.stations)
-    n_around, n_rows = planner.n_around, len(planner.roadside.rows)
+    n_around, n_rows = planner.n_around, planner.roadside.n_rows
     sampling = n_longitudinal * n_times * _SAMPLE
     roadside = n_lateral * n_stations * (_STATION + n_rows * _ROW)
     checks = n_lateral * n_around * (_CHECK + OVERLAP + _BLOCKED) + n_lateral * n_longitudinal * _WITHIN

@@ -185,7 +185,7 @@ def _memory(config: RunConfig) -> Iterator[Memory]:
     dt_s, n_vehicles, n_actions = scenario.dt_s, 1 + scenario.n_social, len(config.policy.horizons_s)
     n_chunk, n_steps, n_seen = CHUNKS["cpu"], scenario.episode_steps, observation.n_bytes
     yield config.planner.memory(scenario, n_chunk)
-    yield observation.memory(2 * scenario.road.n_parked_per_side + n_vehicles, n_chunk)
+    yield observation.memory(scenario.most_parked + n_vehicles, n_chunk)
     remembered = config.perception.memory_steps(dt_s, history_steps(observation, dt_s))
     yield world_memory(config.algorithm.n_worlds, n_vehicles, remembered, config.dynamics.delay_steps(dt_s))
     layers = layer_sizes(config.policy, observation.n_frames, observation.n_cells)

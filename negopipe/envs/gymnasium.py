@@ -112,7 +112,8 @@ class _Worlds:
 
     def _set_up(self, config: RunConfig, n_worlds: int) -> None:
         game = with_learned(build_game(config), config, None)
-        sampler = TaskSampler(config.scenario, config.evaluated_families, torch.Generator(), game.cast.assign)
+        scenario, families = config.scenario, config.evaluated_families
+        sampler = TaskSampler(scenario, families, torch.Generator(), game.cast.assign, scenario.training_streets)
         self._config = config
         self._worlds = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
 

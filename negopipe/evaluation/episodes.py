@@ -134,6 +134,8 @@ def _record(
     rows["outcome"] = torch.where(has_social_collided, OUTCOMES.index("social_collision"), outcome)
     rows["n_steps"] = world.step
     rows["reached_step"] = _first_time(rows.pop("has_reached"))
+    way = tasks.direction[:, EGO]
+    rows |= {"street": way.abs().long(), "corridor_m": torch.ones_like(way) * game.simulator.road.corridor_m(way)}
     rows |= {"start_distance_m": tasks.start_distance, "style_horizon_s": tasks.style_horizon}
     driver = game.cast.named(tasks.casting.driver)
     return {name: value.cpu().numpy() for name, value in rows.items()} | {"driver": driver}

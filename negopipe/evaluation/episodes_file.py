@@ -29,14 +29,12 @@ class Drives:
     """Evaluated episodes and the constants that their columns are computed with.
 
     trace: E episodes of one planner in one setting
-    corridor_length_m: m, from mouth to mouth
     vehicle: footprint of every vehicle
     braking_mps2: full braking, m/s2
     plan_s: length of a plan, s
     """
 
     trace: Trace
-    corridor_length_m: float
     vehicle: VehicleConfig
     braking_mps2: float
     plan_s: float
@@ -44,9 +42,8 @@ class Drives:
     @staticmethod
     def of(config: "RunConfig", trace: Trace) -> "Drives":
         """The constants of a run's config."""
-        scenario, planner = config.scenario, config.planner
-        length_m, braking_mps2 = scenario.road.corridor_length_m, planner.limits.full_braking_mps2
-        return Drives(trace, length_m, scenario.vehicle, braking_mps2, planner.horizon_s)
+        planner = config.planner
+        return Drives(trace, config.scenario.vehicle, planner.limits.full_braking_mps2, planner.horizon_s)
 
     @cached_property
     def is_running(self) -> np.ndarray:
@@ -149,7 +146,7 @@ COLUMNS = (
     EpisodeColumn(
         "passes_first",
         str,
-        lambda d: passes_first(d.trace, d.corridor_length_m),
+        lambda d: passes_first(d.trace),
         "vehicle whose centre left the corridor first: ego, social or none",
     ),
     EpisodeColumn(

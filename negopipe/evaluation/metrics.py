@@ -39,9 +39,9 @@ def suspensions(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     return count, n_rest * trace.dt_s
 
 
-def passes_first(trace: Trace, corridor_length_m: float) -> np.ndarray:
+def passes_first(trace: Trace) -> np.ndarray:
     """[E] str, ego | social | none: whose centre was the first to leave the corridor at its far end."""
-    is_through = trace.progress_m > corridor_length_m
+    is_through = trace.progress_m > trace.corridor_m[:, None]
     never = len(is_through)
     step = np.where(is_through.any(0), is_through.argmax(0), never)
     ego, social = step[:, EGO], step[:, EGO + 1 :].min(1)

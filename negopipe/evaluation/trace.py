@@ -34,6 +34,8 @@ class Trace:
     planner: name, e.g. "adaptive", "fixed_2"
     setting: name of the evaluated setting, e.g. "push"
     dt_s: float, time between decisions
+    street: [E] int64, number of the street
+    corridor_m: [E] float32, m, length of its corridor
     start_distance_m: [E, V] float32, m, to the mouth that the vehicle meets first
     style_horizon_s: [E, V] float32, s, style at the start; NaN where a driver chooses its horizons
     driver: [E, V] str, name of the vehicle's driver in the population; empty for the ego
@@ -52,6 +54,8 @@ class Trace:
     planner: str
     setting: str
     dt_s: float
+    street: np.ndarray
+    corridor_m: np.ndarray
     start_distance_m: np.ndarray
     style_horizon_s: np.ndarray
     driver: np.ndarray
@@ -76,7 +80,8 @@ class Trace:
 
 
 EPISODE_AXIS = {
-    "start_distance_m": 0, "style_horizon_s": 0, "driver": 0, "n_steps": 0, "reached_step": 0, "outcome": 0,
+    "street": 0, "corridor_m": 0, "start_distance_m": 0, "style_horizon_s": 0, "driver": 0,
+    "n_steps": 0, "reached_step": 0, "outcome": 0,
     "position_m": 1, "yaw_rad": 1, "speed_mps": 1, "progress_m": 1,
     "horizon_s": 1, "is_full_braking": 1, "reward": 1,
 }  # fmt: skip

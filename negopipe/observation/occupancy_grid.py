@@ -93,7 +93,7 @@ class OccupancyGrid:
         dt_s: float,
         device: torch.device | str = "cpu",
     ) -> None:
-        self.config, self.vehicle = config, vehicle
+        self.config, self.vehicle, self.road = config, vehicle, road
         n = config.n_cells
         self.shape = config.shape
         self._stride = frame_stride(config, dt_s)
@@ -102,7 +102,7 @@ class OccupancyGrid:
         starts = torch.arange(config.n_words, device=device) * WORD_BITS
         self._word_start = starts[:, None]  # [K, 1] first column of each word
         self._shifts = torch.arange(0, WORD_BITS, NIBBLE_BITS, device=device, dtype=torch.int32)
-        self._static = _static_boxes(road)  # fields [R], world frame
+        self._static = torch.cat([road.parked, road.off_road], dim=1)  # [B, R, 6], fields of Boxes, world frame
 
     def draw(self, perception: Perception) -> Tensor:
         """[E, F, H, W] uint8, 1 = occupied; channel 0 is now, channel f is f frame intervals ago.
@@ -118,7 +118,8 @@ class OccupancyGrid:
         x = torch.where(torch.cat([torch.ones_like(is_seen[..., :1]), is_seen], dim=-1), x, OUT_OF_SIGHT_M)
         half_length, half_width = self.vehicle.length_m / 2, self.vehicle.width_m / 2
         vehicles = Boxes(x, y, torch.cos(yaw), torch.sin(yaw), half_length, half_width)
-        static = self._rows(_in_body_frame(self._static, pose[:, None]))
+        standing = Boxes(*self.road.pick(self._static, perception.direction[:, 0]).unbind(-1))
+        static = self._rows(_in_body_frame(standing, pose[:, None]))
         return self._cells(static[:, None] | self._rows(_in_body_frame(vehicles, pose[:, None, None])))
 
     def _rows(self, boxes: Boxes) -> Tensor:
@@ -175,9 +176,3 @@ def _in_body_frame(boxes: Boxes, pose: Tensor) -> Boxes:
         cos=boxes.cos * cos + boxes.sin * sin,
         sin=boxes.sin * cos - boxes.cos * sin,
     )
-
-
-def _static_boxes(road: Road) -> Boxes:
-    """Parked cars and the area beyond the kerbs, fields [R], world frame."""
-    pairs = zip(road.parked_boxes(), road.off_road_boxes(), strict=True)
-    return Boxes(*(torch.cat([torch.as_tensor(a), torch.as_tensor(b)]) for a, b in pairs))

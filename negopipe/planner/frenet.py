@@ -155,7 +155,7 @@ class FrenetPlanner:
         if give_way is None:
             return None
         is_bound = torch.isinf(horizon)
-        others = give_way.times_of_others(other, direction, is_seen)
+        others = give_way.times_of_others(other, route, direction, is_seen)
         to_passage = give_way.to_passage(route, direction)
         free_m = torch.where(is_bound & (to_passage > 0), to_passage, torch.inf)
 

@@ -43,18 +43,20 @@ class GiveWay:
 
     def to_passage(self, route: RouteState, direction: Tensor) -> Tensor:
         """[N] m: distance to the passage, negative behind its beginning."""
-        return self.passage.waiting_s(direction) - route.s
+        return self.passage.waiting_s(route.s, direction) - route.s
 
-    def times_of_others(self, other: VehicleState, direction: Tensor, is_seen: Tensor) -> tuple[Tensor, Tensor]:
+    def times_of_others(
+        self, other: VehicleState, route: RouteState, direction: Tensor, is_seen: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """[O, N] s: earliest time at which an oncoming vehicle enters the passage, latest at which it has left it.
 
         A vehicle that does not come along never enters, and has left.
         """
-        other_direction = self.road.direction_of(other)
+        other_direction = self.road.direction_of(other, direction)
         its = self.road.to_route(other, other_direction)
-        leaves_after = self.passage.leaving_s(other_direction) - its.s
+        leaves_after = self.passage.at(self.passage.their_leaving, route.s, direction) - its.s
         comes = is_seen & (other_direction != direction) & (leaves_after > 0)
-        enters_after = (self.passage.waiting_s(other_direction) - its.s).clamp(min=0)
+        enters_after = (self.passage.at(self.passage.their_waiting, route.s, direction) - its.s).clamp(min=0)
         latest = torch.where(its.s_dot > SLOWEST_MPS, leaves_after / its.s_dot.clamp(min=SLOWEST_MPS), NEVER_S)
         earliest = self._soonest(enters_after, its.s_dot)
         return torch.where(comes, earliest, NEVER_S), torch.where(comes, latest, -NEVER_S)
@@ -77,7 +79,7 @@ class GiveWay:
         others: of `times_of_others`
         """
         to_passage, earliest, latest = self.to_passage(route, direction), *others
-        through = self.passage.leaving_s(direction) - route.s
+        through = self.passage.leaving_s(route.s, direction) - route.s
         end, end_speed = travelled[:, -1], speed[:, -1].clamp(min=SLOWEST_MPS)
         enters_s = (travelled <= to_passage + ROUNDING_M).sum(1) * self._dt_s
         within_s = ((travelled < through).sum(1) + 1) * self._dt_s

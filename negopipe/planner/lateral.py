@@ -79,7 +79,7 @@ def path_shape(
     road: Road, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, d_pprime: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Curvature (1/m) of paths at some points, metres of path per metre of road (1), its derivative by s (1/m)."""
-    if road.reference.is_straight:
+    if road.is_straight:
         path_per_road = torch.sqrt(1 + d_prime**2)
         return d_pprime / path_per_road**3, path_per_road, d_prime * d_pprime / path_per_road
     kappa, kappa_prime = road.curvature(s, direction)

@@ -27,11 +27,11 @@ class Lingering:
 
         route: fields [N]; direction, horizon: [N], +1 or -1 and s; other: fields [O, N]; is_seen: [O, N] bool
         """
-        its_direction = self.road.direction_of(other)
+        its_direction = self.road.direction_of(other, direction)
         its = self.road.to_route(other, its_direction)
-        is_ahead = its.s < self.road.config.corridor_length_m - route.s
+        is_ahead = its.s < self.road.corridor_m(direction) - route.s
         comes = is_seen & (its_direction != direction) & is_ahead & (horizon > 0)
-        to_passage = self.passage.waiting_s(its_direction) - its.s
+        to_passage = self.passage.at(self.passage.their_waiting, route.s, direction) - its.s
         seconds = horizon.clamp(max=self._plan_s)  # nothing is predicted beyond the plan
         return (comes & (to_passage <= its.s_dot * seconds)).any(0)
 
@@ -41,6 +41,6 @@ class Lingering:
         Soon is within another planning horizon at the speed of their end.
         """
         end, end_speed = travelled[:, -1], speed[:, -1].clamp(min=0)
-        is_in = end > self.passage.waiting_s(direction) - route.s + ROUNDING_M
-        stays = end + end_speed * self._plan_s < self.passage.leaving_s(direction) - route.s
+        is_in = end > self.passage.waiting_s(route.s, direction) - route.s + ROUNDING_M
+        stays = end + end_speed * self._plan_s < self.passage.leaving_s(route.s, direction) - route.s
         return is_met & is_in & stays

@@ -76,7 +76,7 @@ def predict(
 
     viewer_direction: [N] float32, +1 or -1
     """
-    direction = road.direction_of(other)
+    direction = road.direction_of(other, viewer_direction)
     *state, direction = materialize(*road.to_route(other, direction), direction)
     now = RouteState(*state)
     travelled = config.travelled(now, times)
@@ -86,10 +86,10 @@ def predict(
     fading = torch.exp(-travelled.abs() / config.offset_decay_m)
     offset = (now.d - route_d_now)[..., None, :] * fading
     tan_heading = route_d_prime + (now.d_prime - route_d_prime_now)[..., None, :] * fading
-    if not road.reference.is_straight:
+    if not road.is_straight:
         kappa, _ = road.curvature(s, direction[..., None, :])
         tan_heading = tan_heading / (1 - kappa * (route_d + offset))
     is_same = (direction == viewer_direction)[..., None, :]
-    s_seen = torch.where(is_same, s, road.config.corridor_length_m - s)
+    s_seen = torch.where(is_same, s, road.corridor_m(viewer_direction) - s)
     d_seen = torch.where(is_same, route_d + offset, -route_d - offset)
     return PredictedPath(s_seen, d_seen, tan_heading)

@@ -76,7 +76,7 @@ class Reversing:
         self.config, self.road, self.passage = config, collisions.road, passage
         self._collisions, self._dt_s = collisions, collisions.dt_s
         clearance_m, self._curvature_max, step_m = limits
-        device = collisions.road.parked_cars.device
+        device = collisions.road.device
         self._behind = torch.arange(0.0, config.length_m + step_m, step_m, device=device)[:, None]  # [S, 1] m
         self._roadside = Roadside(self.road, collisions.vehicle, torch.full_like(self._behind[:, 0], clearance_m))
         self._from_state = quintic(config.return_m)[:, :3].to(device, torch.float32)
@@ -93,7 +93,7 @@ class Reversing:
 
         ahead: state one step along the plan forwards
         """
-        way = route.s - self.passage.waiting_s(direction) + self.config.beyond_m
+        way = route.s - self.passage.waiting_s(route.s, direction) + self.config.beyond_m
         path = self._path(route, direction)
         stays = (route.s_dot.abs() <= STILL_MPS) & (ahead.s_dot.abs() <= STILL_MPS)
         is_asked = (horizon >= self.config.least_horizon_s) & self._is_in_the_way(route, direction, way, others)
@@ -103,17 +103,18 @@ class Reversing:
 
     def others(self, other: VehicleState, direction: Tensor, is_seen: Tensor) -> Others:
         """The others [O, N] as the vehicles that drive in `direction` [N] see them."""
-        its_direction = self.road.direction_of(other)
+        its_direction = self.road.direction_of(other, direction)
         its = self.road.to_route(other, its_direction)
         is_same = its_direction == direction
-        s = torch.where(is_same, its.s, self.road.config.corridor_length_m - its.s)
+        s = torch.where(is_same, its.s, self.road.corridor_m(direction) - its.s)
         d = torch.where(is_same, its.d, -its.d)
         offset = d - self.road.route_offset(s, direction)[0]
         return Others(its, is_seen & ~is_same, s, offset, is_seen)
 
     def _is_in_the_way(self, route: RouteState, direction: Tensor, way: Tensor, others: Others) -> Tensor:
         """[N] bool: an oncoming vehicle that has not passed cannot do so, and does not make way itself."""
-        its_way = others.route.s - self.passage.waiting_s(-direction) + self.config.beyond_m
+        their_place = self.passage.at(self.passage.their_waiting, route.s, direction)
+        its_way = others.route.s - their_place + self.config.beyond_m
         makes_way = (others.route.s_dot < -CREEPING_MPS) & (its_way < way)
         comes = others.is_oncoming & (others.s > route.s) & ~makes_way
         standing = map_tensors(lambda field: field[:, None], self.road.to_world(route, direction))

@@ -8,6 +8,9 @@ from torch import Tensor
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import VehicleConfig
 
+Row = tuple[float, float, float, float]
+"""Fields of a `ParkedRow`."""
+
 
 class ParkedRow(NamedTuple):
     """Parked cars beside the reference line, without room for a vehicle between them.
@@ -15,12 +18,18 @@ class ParkedRow(NamedTuple):
     sigma, half_length: m, arc length of the middle of the row, and half the row's length
     side: +1 to the left of the line, -1 to the right
     inner: m, distance from the line to the row's side that faces the road, positive towards `side`
+
+    Every field is a tensor [N], of the vehicles that plan; of one street [].
     """
 
-    sigma: float
-    half_length: float
-    side: int
-    inner: float
+    sigma: Tensor
+    half_length: Tensor
+    side: Tensor
+    inner: Tensor
+
+
+NO_ROW = (0.0, 0.0, 1.0, 1e3)
+"""A row out of reach, for streets with fewer rows than others."""
 
 
 class Roadside:
@@ -36,7 +45,11 @@ class Roadside:
         self.road = road
         self.half_length = vehicle.length_m / 2 + clearance_m[:, None]  # [S, 1]
         self.half_width = vehicle.width_m / 2 + clearance_m[:, None]
-        self.rows = _rows(road, vehicle.width_m + 2 * float(clearance_m.min()))
+        room_m = vehicle.width_m + 2 * float(clearance_m.min())
+        rows = [_rows(cars, road.is_straight, room_m) for cars in road.parked_on_line]
+        self.n_rows = max(map(len, rows))
+        self._rows = torch.tensor([[*each, *[NO_ROW] * (self.n_rows - len(each))] for each in rows])
+        self._rows = self._rows.to(road.device)  # [B, P, 4]
 
     def excess(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor) -> Tensor:
         """[L, S, N] m: depth by which a footprint reaches over a kerb or into a parked car, negative where it is clear.
@@ -44,20 +57,25 @@ class Roadside:
         s: [S, N] m; direction: [N]; d, d_prime: [L, S, N] m and 1, the offset and its derivative by s
         """
         excess = self._over_kerb(s, direction, d, d_prime)
-        for row in self.rows:
+        for row in self.rows(direction):
             excess = torch.maximum(excess, self._into_row(row, s, direction, d, d_prime))
         return excess
+
+    def rows(self, direction: Tensor) -> list[ParkedRow]:
+        """The rows of the street of each vehicle; direction: [N]."""
+        rows = self.road.pick(self._rows, direction)  # [N, P, 4]
+        return [ParkedRow(*row.unbind(-1)) for row in rows.unbind(-2)]
 
     def _over_kerb(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor) -> Tensor:
         sagitta: Tensor | float = 0.0  # how far a curved kerb reaches towards the middle of a straight side
         tan_heading = d_prime
-        if not self.road.reference.is_straight:
+        if not self.road.is_straight:
             kappa, _ = self.road.curvature(s, direction)
             sagitta = kappa.abs() * self.half_length**2 / 2
             tan_heading = d_prime / (1 - kappa * d)
         cos = torch.rsqrt(1 + tan_heading**2)
         reach = self.half_length * tan_heading.abs() * cos + self.half_width * cos
-        return d.abs() + reach + sagitta - self.road.config.width_m / 2
+        return self.road.kerb_excess(s, direction, d, reach, sagitta)
 
     def _into_row(self, row: ParkedRow, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor) -> Tensor:
         """[L, S, N] m: depth by which a footprint reaches into a row.
@@ -66,9 +84,10 @@ class Roadside:
         The corner that reaches farthest is at (corner, height). From there the border falls along the long side to the
         rear and along the short side to the front.
         """
-        at = direction * row.sigma + self.road.config.corridor_length_m / 2
+        sign = self.road.sign(direction)
+        at = sign * row.sigma + self.road.corridor_m(direction) / 2
         u, v, tan_heading = self.road.in_tangent_frame(at, direction, s - at, d, d_prime)
-        side = row.side * direction
+        side = row.side * sign
         turned = tan_heading * side
         steep = turned.abs().clamp(min=1e-4)
         cos = torch.rsqrt(1 + steep**2)
@@ -81,13 +100,12 @@ class Roadside:
         return torch.minimum(v * side + height - row.inner, alongside)
 
 
-def _rows(road: Road, room_m: float) -> list[ParkedRow]:
+def _rows(cars: list[tuple[float, float, float, float]], is_straight: bool, room_m: float) -> list[Row]:
     """Rows of parked cars: neighbours with less than `room_m` between them; on a bent road every car by itself."""
-    is_straight = road.reference.is_straight
-    rows: list[ParkedRow] = []
-    for sigma, d, length, width in sorted(road.parked_on_line.tolist()):
-        row = ParkedRow(sigma, length / 2, 1 if d > 0 else -1, abs(d) - width / 2)
-        before = next((r for r in reversed(rows) if r.side == row.side), None)
+    rows: list[Row] = []
+    for sigma, d, length, width in sorted(cars):
+        row = (sigma, length / 2, 1.0 if d > 0 else -1.0, abs(d) - width / 2)
+        before = next((r for r in reversed(rows) if r[2] == row[2]), None)
         if is_straight and before and _between(before, row) < room_m:
             rows[rows.index(before)] = _joined(before, row)
         else:
@@ -95,10 +113,10 @@ def _rows(road: Road, room_m: float) -> list[ParkedRow]:
     return rows
 
 
-def _between(first: ParkedRow, second: ParkedRow) -> float:
-    return second.sigma - second.half_length - first.sigma - first.half_length
+def _between(first: Row, second: Row) -> float:
+    return second[0] - second[1] - first[0] - first[1]
 
 
-def _joined(first: ParkedRow, second: ParkedRow) -> ParkedRow:
-    start, end = first.sigma - first.half_length, second.sigma + second.half_length
-    return ParkedRow((start + end) / 2, (end - start) / 2, first.side, min(first.inner, second.inner))
+def _joined(first: Row, second: Row) -> Row:
+    start, end = first[0] - first[1], second[0] + second[1]
+    return (start + end) / 2, (end - start) / 2, first[2], min(first[3], second[3])

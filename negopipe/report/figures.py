@@ -173,12 +173,16 @@ def horizons(traces: Sequence[Trace]) -> Figure:
 
 
 @styled
-def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
-    """Prediction horizons of the adaptive planner along the road, as shares of its decisions before it arrives."""
+def horizons_along(traces: Sequence[Trace]) -> Figure:
+    """Prediction horizons of the adaptive planner along the road, as shares of its decisions before it arrives.
+
+    Corridors of several lengths are drawn as one of their mean length.
+    """
     adaptive = [trace for trace in traces if trace.planner == ADAPTIVE]
     figure = Figure((WIDTH_IN, 0.7 + 1.5 * len(adaptive)), layout="constrained")
     axes = figure.subplots(len(adaptive), 1, sharex=True, squeeze=False)[:, 0]
-    driven = [_decided(trace) for trace in adaptive]
+    corridor_length_m = float(np.concatenate([trace.corridor_m for trace in adaptive]).mean())
+    driven = [_decided(trace, corridor_length_m) for trace in adaptive]
     places, chosen = (np.concatenate(parts) for parts in zip(*driven, strict=True))
     edges_m = np.arange(np.floor(places.min()), np.ceil(places.max()) + 1)
     levels = np.unique(chosen)
@@ -198,29 +202,32 @@ def horizons_along(traces: Sequence[Trace], corridor_length_m: float) -> Figure:
     return figure
 
 
-def _decided(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Progress, m, and horizon, s, of all decisions that the ego took before it arrived, flat."""
+def _decided(trace: Trace, corridor_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Progress, m, and horizon, s, of all decisions that the ego took before it arrived, flat.
+
+    corridor_m: length that every corridor is stretched to
+    """
     reached = trace.reached_step[:, EGO]
     end = np.where(reached >= 0, np.minimum(reached, trace.n_steps), trace.n_steps)
     is_driving = np.arange(len(trace.reward))[:, None] < end
-    return trace.progress_m[:-1, :, EGO][is_driving], trace.horizon_s[:, :, EGO][is_driving]
+    progress_m, own_m = trace.progress_m[:-1, :, EGO], trace.corridor_m
+    within = progress_m.clip(0, own_m)
+    stretched = progress_m - within + within * (corridor_m / own_m)
+    return stretched[is_driving], trace.horizon_s[:, :, EGO][is_driving]
 
 
 @styled
-def space_time(
-    traces: Sequence[Trace], episode: int, corridor_sigma_m: tuple[float, float], fixed_s: FixedHorizons
-) -> Figure:
+def space_time(traces: Sequence[Trace], episode: int, fixed_s: FixedHorizons) -> Figure:
     """One episode under every planner: positions of both vehicles along the road's reference line over time.
 
     traces: of one setting; the ego's line has the colour of the prediction horizon of that decision
-    corridor_sigma_m: begin and end of the corridor on the line, along which the ego drives
     """
-    half_m = (corridor_sigma_m[1] - corridor_sigma_m[0]) / 2
+    half_m = float(traces[0].corridor_m[episode]) / 2
     figure, axes = _two_columns(len(traces), 1.6)
     road_end_m = 1.1 * max(np.abs(trace.progress_m[0, episode] - half_m).max() for trace in traces)
     duration_s = max(trace.n_steps[episode] * trace.dt_s for trace in traces)
     for axis, trace in zip(axes, traces, strict=True):
-        axis.axhspan(*corridor_sigma_m, color=CORRIDOR, zorder=0)
+        axis.axhspan(-half_m, half_m, color=CORRIDOR, zorder=0)
         _space_time_lines(axis, trace, episode, half_m)
         outcome = outcome_label(OUTCOMES[trace.outcome[episode]])
         axis.set_title(f"{planner_label(trace.planner, fixed_s)}: {outcome}")

@@ -1,6 +1,6 @@
 """The street and its vehicles as animations draw them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ class Scene:
     parked_cars: [P, 5] x, y, yaw, length, width
     line_m: [K, 4] sigma (increasing), x, y and heading of the road's reference line
     kerbs_m: [2, K, 2] x, y of the right and the left kerb at these sigma
-    corridor_m: [2, M, 2] the same of the corridor, from mouth to mouth
+    corridors_m: of each narrow place [2, M, 2], the same from mouth to mouth
     route_d_m: [2, K] offset to the line's left of the routes along the line and against it
     vehicle_length_m, vehicle_width_m: footprint of every vehicle
     plan_s: length of a plan, s
@@ -28,11 +28,15 @@ class Scene:
     parked_cars: np.ndarray
     line_m: np.ndarray
     kerbs_m: np.ndarray
-    corridor_m: np.ndarray
+    corridors_m: Sequence[np.ndarray]
     route_d_m: np.ndarray
     vehicle_length_m: float
     vehicle_width_m: float
     plan_s: float
+
+
+SceneOf = Callable[[int], Scene]
+"""The scene of a street, by its number."""
 
 
 def add_polygon(axis: Axes, color: str, alpha: float = 1.0) -> Polygon:
@@ -52,7 +56,7 @@ def view_limits(starts: Sequence[np.ndarray], scene: Scene) -> tuple[float, floa
 
 def draw_scene(axis: Axes, scene: Scene) -> None:
     axis.add_patch(Rectangle((0, 0), 1, 1, transform=axis.transAxes, color=GROUND, lw=0))
-    for (right, left), color in ((scene.kerbs_m, ROAD), (scene.corridor_m, CORRIDOR)):
+    for (right, left), color in [(scene.kerbs_m, ROAD), *((each, CORRIDOR) for each in scene.corridors_m)]:
         axis.add_patch(Polygon(np.concatenate([right, left[::-1]]), color=color, lw=0))
     for kerb in scene.kerbs_m:
         axis.plot(*kerb.T, color=INK, linewidth=1.0)

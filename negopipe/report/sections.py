@@ -10,7 +10,7 @@ import pandas as pd
 from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import ADAPTIVE, Trace
 from negopipe.report.run_files import adaptive_of
-from negopipe.report.scene import Scene
+from negopipe.report.scene import SceneOf
 from negopipe.tracking.csv_file import read_csv
 
 if TYPE_CHECKING:
@@ -108,13 +108,12 @@ def unseen_distances(config: "RunConfig") -> dict[str, tuple[tuple[float, float]
 def negotiations_section(
     writer: FigureWriter,
     traces: dict[str, list[Trace]],
-    corridor_sigma_m: tuple[float, float],
     fixed_s: FixedHorizons,
 ) -> Section:
     items = []
     for setting, group in traces.items():
         episode = _typical_of_all(group)
-        drawing = figures.space_time(group, episode, corridor_sigma_m, fixed_s)
+        drawing = figures.space_time(group, episode, fixed_s)
         title, reading = caption("space_time", setting=setting_label(setting))
         items.append(writer.figure(f"space_time_{setting}", drawing, title, reading))
     return Section("Negotiations", "", items)
@@ -129,7 +128,7 @@ def films_section(
     report: ReportConfig,
     writer: FigureWriter,
     traces: dict[str, list[Trace]],
-    scene: Scene,
+    scene_of: SceneOf,
     policy_traces: Mapping[str, Mapping[int, PolicyTrace]],
     fixed_s: FixedHorizons,
 ) -> Section:
@@ -140,10 +139,12 @@ def films_section(
         if report.side_by_side:
             compared = [adaptive, *named(group, report.side_by_side)]
             name = f"{setting}_side_by_side"
-            items.append(_film(writer, name, compared, _typical_of_all(group), scene, report.animation_fps, fixed_s))
+            items.append(_film(writer, name, compared, _typical_of_all(group), scene_of, report.animation_fps, fixed_s))
         for name, episode in filmed_alone(report, adaptive).items():
             policy_trace = policy_traces[setting][episode]
-            items.append(_film(writer, name, [adaptive], episode, scene, report.animation_fps, fixed_s, policy_trace))
+            items.append(
+                _film(writer, name, [adaptive], episode, scene_of, report.animation_fps, fixed_s, policy_trace)
+            )
     return Section("Animations", WATCH, items)
 
 
@@ -160,13 +161,14 @@ def _film(
     name: str,
     traces: list[Trace],
     episode: int,
-    scene: Scene,
+    scene_of: SceneOf,
     fps: int,
     fixed_s: FixedHorizons,
     policy_trace: PolicyTrace | None = None,
 ) -> FigureItem:
     log.info("report: animation %s", name)
     trace = traces[0]
+    scene = scene_of(int(trace.street[episode]))
     gif = animation.animate(traces, episode, scene, fps, fixed_s, policy_trace)
     still = animation.still(traces, episode, scene, trace.n_steps[episode] * trace.dt_s / 3, fixed_s, policy_trace)
     title, reading = caption(
@@ -189,13 +191,12 @@ def _style_text(trace: Trace, episode: int) -> str:
 def behaviour_section(
     writer: FigureWriter,
     traces: dict[str, list[Trace]],
-    corridor_length_m: float,
     behaviour_map: Path,
     fixed_s: FixedHorizons,
 ) -> Section:
     """With the behaviour map, if its stage has left one."""
     flat = [trace for group in traces.values() for trace in group]
-    along = figures.horizons_along(flat, corridor_length_m)
+    along = figures.horizons_along(flat)
     items = [
         writer.figure("behaviour_index", figures.behaviour(flat, fixed_s), *caption("behaviour_index")),
         writer.figure("horizons", figures.horizons(flat), *caption("horizons")),

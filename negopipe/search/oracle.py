@@ -135,13 +135,16 @@ class Rollouts:
         """[R] float64: lower bound on the steps until the last vehicle arrives, at the highest allowed speed."""
         simulator, limits = self.game.simulator, self.game.planner.config.limits
         s = simulator.road.progress(world.vehicles.position, world.task.direction)
-        left = torch.where(world.has_reached, 0.0, simulator.road.target_s_m - s).amax(1).clamp(min=0)
+        left = (
+            torch.where(world.has_reached, 0.0, simulator.road.target_s(world.task.direction) - s).amax(1).clamp(min=0)
+        )
         return left.double() / (limits.speed_max_mps * simulator.scenario.dt_s)
 
     def _step_left(self, world: World) -> Tensor:
         """[R] float64 in [0, 1): share of the last step that was left when the last vehicle reached its target."""
         vehicles, simulator = world.vehicles, self.game.simulator
-        beyond = simulator.road.progress(vehicles.position, world.task.direction) - simulator.road.target_s_m
+        road, direction = simulator.road, world.task.direction
+        beyond = road.progress(vehicles.position, direction) - road.target_s(direction)
         driven = (vehicles.speed * simulator.scenario.dt_s).clamp(min=1e-3)
         return (beyond / driven).amin(1).double().clamp(0.0, 0.999)
 

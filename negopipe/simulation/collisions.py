@@ -64,19 +64,23 @@ class CollisionCheck:
         self._along = vehicle.length_m * torch.tensor([-1.0, -0.5, 0.0, 0.5, 1.0], device=others.device)
         self._radius_m = math.hypot(vehicle.length_m, vehicle.width_m) / 2
 
-    def touches(self, vehicles: VehicleState) -> Tensor:
-        """[E, V] bool: the footprint touches another vehicle, a parked car or a kerb."""
+    def touches(self, vehicles: VehicleState, direction: Tensor) -> Tensor:
+        """[E, V] bool: the footprint touches another vehicle, a parked car or a kerb; direction: [E, V]."""
         (poses,) = _worlds_last(vehicles)
-        return self._touches(poses).transpose(0, 1)
+        return self._touches(poses, direction.T).transpose(0, 1)
 
-    def first_contact(self, before: VehicleState, after: VehicleState) -> Tensor:
+    def first_contact(self, before: VehicleState, after: VehicleState, direction: Tensor) -> Tensor:
         """[E, V] float32: share of the control step from `before` to `after` at which a vehicle touches something.
 
         It is 1 for a vehicle in contact at the end of the step, whatever happened before, and inf without a contact.
+
+        direction: [E, V]
         """
         start, end = _worlds_last(before, after)
-        contact = torch.minimum(self._hit(self._interpolate(start, end, self._share)), self._off_road(start, end))
-        return torch.where(self._touches(end), 1.0, contact).transpose(0, 1)
+        way = direction.T
+        hit = self._hit(self._interpolate(start, end, self._share), way)
+        contact = torch.minimum(hit, self._off_road(start, end, way))
+        return torch.where(self._touches(end, way), 1.0, contact).transpose(0, 1)
 
     def moved_until(self, share: Tensor, before: VehicleState, after: VehicleState) -> VehicleState:
         """The state `after` [E, V]; where `share` [E, V] is below 1, the state at that share of the step instead."""
@@ -114,15 +118,15 @@ class CollisionCheck:
             start.speed + t * (end.speed - start.speed),
         )
 
-    def _touches(self, poses: _Poses) -> Tensor:
+    def _touches(self, poses: _Poses, direction: Tensor) -> Tensor:
         """[V, E] bool: the footprint touches another vehicle, a parked car or a kerb."""
         boxes = self._boxes(poses.x, poses.y, poses.yaw)
         own = _fields(boxes, lambda field: field[:, None])  # [V, 1, E]
         others = _fields(boxes, lambda field: field[self._others])  # [V, O, E]
-        with_others, with_parked = overlap_depth(own, others), overlap_depth(own, self._parked())
-        return (torch.cat([with_others, with_parked], 1).amax(1) > 0) | self.road.is_off_road(boxes)
+        with_others, with_parked = overlap_depth(own, others), overlap_depth(own, self._parked(direction))
+        return (torch.cat([with_others, with_parked], 1).amax(1) > 0) | self.road.is_off_road(boxes, direction)
 
-    def _hit(self, poses: _Poses) -> Tensor:
+    def _hit(self, poses: _Poses, direction: Tensor) -> Tensor:
         """[V, E] share of the step at which a vehicle hits another or a parked car; inf where it never does."""
         turn = poses.yaw.diff(dim=0)  # [N, V, E]
         graze = GRAZE_M + self._radius_m * turn.abs() / 2
@@ -133,22 +137,22 @@ class CollisionCheck:
         others = _fields(boxes, lambda field: field[:, self._others])  # [N, V, O, E]
         closing = (step[:, self._others] - step[:, :, None] for step in (step_x, step_y))
         with_others = time_to_collision(own, others, *closing)
-        with_parked = time_to_collision(own, self._parked(), -step_x[:, :, None], -step_y[:, :, None])
+        with_parked = time_to_collision(own, self._parked(direction), -step_x[:, :, None], -step_y[:, :, None])
         within = torch.minimum(with_others.amin(2), with_parked.amin(2))  # of a piece
         piece = torch.arange(self._n_pieces, device=within.device)[:, None, None]
         return torch.where(within < 1, (piece + within) / self._n_pieces, torch.inf).amin(0)
 
-    def _off_road(self, start: _Poses, end: _Poses) -> Tensor:
+    def _off_road(self, start: _Poses, end: _Poses, direction: Tensor) -> Tensor:
         """[V, E] first share of the step, at the ends of pieces but the last, off the road; inf where none is."""
         if len(self._kerb_share) == 0:
             return torch.full_like(start.x, torch.inf)
         poses = self._interpolate(start, end, self._kerb_share)
-        is_off = self.road.is_off_road(self._boxes(poses.x, poses.y, poses.yaw))
+        is_off = self.road.is_off_road(self._boxes(poses.x, poses.y, poses.yaw), direction)
         return torch.where(is_off, self._kerb_share, torch.inf).amin(0)
 
-    def _parked(self) -> Boxes:
-        """Parked cars, fields [P, 1]."""
-        return _fields(self.road.parked_boxes(), lambda field: field[:, None])
+    def _parked(self, direction: Tensor) -> Boxes:
+        """Parked cars, fields [P, E] or, of one street, [P, 1]; direction: [V, E]."""
+        return _fields(self.road.parked_boxes(direction[0]), lambda field: torch.atleast_2d(field).T)
 
     def _footprints(self, vehicles: VehicleState) -> Boxes:
         x, y = vehicles.position.unbind(-1)

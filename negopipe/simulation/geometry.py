@@ -28,6 +28,12 @@ def boxes_from_pose(x: Tensor, y: Tensor, yaw: Tensor, length: float, width: flo
     return Boxes(x, y, torch.cos(yaw), torch.sin(yaw), length / 2, width / 2)
 
 
+def box_rows(rows: Tensor) -> Tensor:
+    """[..., 6], the fields of `Boxes`, from rows [..., 5]: x, y, yaw, length, width (m, m, rad, m, m)."""
+    x, y, yaw, length, width = rows.unbind(-1)
+    return torch.stack([x, y, torch.cos(yaw), torch.sin(yaw), length / 2, width / 2], dim=-1)
+
+
 def overlap_depth(a: Boxes, b: Boxes) -> Tensor:
     """Depth of the overlap of oriented rectangles, [...] m: positive where they overlap.
 
@@ -73,6 +79,15 @@ def _extent(box: Boxes, cos: Tensor, sin: Tensor) -> Tensor:
     along = (box.cos * cos + box.sin * sin).abs()
     across = (box.cos * sin - box.sin * cos).abs()
     return box.half_length * along + box.half_width * across
+
+
+def rim(boxes: Boxes) -> tuple[Tensor, Tensor]:
+    """Positions x, y [6, ...] (m) of the corners and of the middles of the long sides."""
+    points = [(ahead, left) for left in (1.0, -1.0) for ahead in (1.0, 0.0, -1.0)]
+    offsets = [(ahead * boxes.half_length, left * boxes.half_width) for ahead, left in points]
+    x = torch.stack([boxes.x + u * boxes.cos - v * boxes.sin for u, v in offsets])
+    y = torch.stack([boxes.y + u * boxes.sin + v * boxes.cos for u, v in offsets])
+    return x, y
 
 
 def wrap_angle(angle: Tensor) -> Tensor:

@@ -6,13 +6,13 @@ d      offset from the line to its left, m
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from dataclasses import dataclass
+from functools import cached_property
 
+import numpy as np
 import torch
-from pydantic import Field
 from torch import Tensor
 
-from negopipe.schema import PositiveMetres, Real, schema
 from negopipe.simulation.geometry import smoothstep
 
 REACH_M = 200.0
@@ -31,18 +31,19 @@ GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 8 / 18), (0.5 + math.sqrt(0.15),
 """Nodes and weights of the Gauss-Legendre rule on [0, 1], exact for polynomials of degree 5."""
 
 
-@schema
-class BendConfig:
-    """A bend: the heading turns by `angle_deg` along the jerk-optimal step, so the curvature starts and ends at 0.
+def knots(reach_m: float) -> np.ndarray:
+    """[K] float64, m: arc lengths every `KNOT_M` up to `reach_m` at least to both sides of 0; K is odd."""
+    n = math.ceil(reach_m / KNOT_M)
+    return KNOT_M * np.arange(-n, n + 1)
 
-    start_m: arc length from the corridor's middle at which the bend begins
-    length_m: arc length over which it turns
-    angle_deg: how far it turns, positive to the left; the sharpest curvature is 15/8 of angle / length
-    """
 
-    start_m: Real
-    length_m: PositiveMetres
-    angle_deg: Annotated[float, Field(gt=-180, lt=180)]
+@dataclass(frozen=True)
+class Bend:
+    """A bend of a line; `road_config.BendConfig` says what each value means."""
+
+    start_m: float
+    length_m: float
+    angle_deg: float
 
 
 class ReferenceLine:
@@ -51,14 +52,23 @@ class ReferenceLine:
     is_straight: the line is the world's x axis (known before anything is computed)
     """
 
-    def __init__(self, bends: Sequence[BendConfig], device: torch.device | str = "cpu") -> None:
+    def __init__(self, bends: Sequence[Bend], device: torch.device | str = "cpu") -> None:
         turning = [bend for bend in bends if bend.angle_deg != 0]
         self.is_straight = not turning
         self._bends = [(bend.start_m, bend.length_m, math.radians(bend.angle_deg)) for bend in turning]
         self._heading_at_0 = 0.0
         self._heading_at_0 = float(self.heading(torch.zeros((), dtype=torch.float64)))
-        self._knots = self._tabulate().to(device)  # [2, K] float64, m, world
-        self._searched = self._knots[:, ::N_SEARCHED].contiguous()
+        self._device = device
+
+    @cached_property
+    def _knots(self) -> Tensor:
+        """[2, K] float64, m, world: x, y at the knots; tabulated at first use."""
+        return self._tabulate().to(self._device)
+
+    @cached_property
+    def _searched(self) -> Tensor:
+        """[2, K / N_SEARCHED] float64, m, world."""
+        return self._knots[:, ::N_SEARCHED].contiguous()
 
     @property
     def bent_m(self) -> tuple[float, float]:
@@ -100,21 +110,27 @@ class ReferenceLine:
         x, y, heading = self.pose(sigma)
         return x - d * torch.sin(heading), y + d * torch.cos(heading)
 
-    def project(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    def project(self, x: Tensor, y: Tensor, near: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """sigma, d [...] (m) of world positions x, y [...] (m): the foot of the perpendicular from the line.
+
+        near: sigma within a few metres, where it is known; it saves the search for the nearest knot
 
         Newton's method on (p - r(sigma)) . t(sigma) = 0, whose derivative is -(1 - kappa d). That factor is kept
         from 0, which it only reaches at a bend's centre, far off any road.
         """
         if self.is_straight:
             return x, y
-        knot_x, knot_y = self._searched.to(x.dtype)
-        nearest = ((x[..., None] - knot_x) ** 2 + (y[..., None] - knot_y) ** 2).argmin(-1)
-        sigma = nearest.to(x.dtype) * (N_SEARCHED * KNOT_M) - REACH_M
+        sigma = self._nearest_knot(x, y) if near is None else near.expand_as(x)
         for _ in range(N_NEWTON):
             ahead, d = self._in_line_frame(sigma, x, y)
             sigma = sigma + ahead / (1 - self.curvature(sigma)[0] * d).clamp(min=0.2)
         return sigma, self._in_line_frame(sigma, x, y)[1]
+
+    def _nearest_knot(self, x: Tensor, y: Tensor) -> Tensor:
+        """[...] m: sigma of the searched knot that is nearest to a position."""
+        knot_x, knot_y = self._searched.to(x.dtype)
+        nearest = ((x[..., None] - knot_x) ** 2 + (y[..., None] - knot_y) ** 2).argmin(-1)
+        return nearest.to(x.dtype) * (N_SEARCHED * KNOT_M) - REACH_M
 
     def _in_line_frame(self, sigma: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Coordinates ahead and to the left [...] (m) of positions, in the frame of the line's pose at sigma."""
@@ -146,7 +162,7 @@ class ReferenceLine:
         return knots - knots[:, knots.shape[1] // 2, None]
 
 
-def check_bends(bends: Sequence[BendConfig], width_m: float) -> None:
+def check_bends(bends: Sequence[Bend], width_m: float) -> None:
     """Raise ValueError unless a road of `width_m` along these bends is clear of its centres of curvature and of itself.
 
     Radii of at least the width keep 1 - kappa d above 1/2 on the road, and a line that turns by less than half a

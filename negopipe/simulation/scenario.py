@@ -22,7 +22,7 @@ from negopipe.schema import (
     PositiveMetres,
     schema,
 )
-from negopipe.simulation.road import RoadConfig
+from negopipe.simulation.road_config import RoadConfig, StreetsConfig
 from negopipe.simulation.state import EGO, Casting, Task
 
 
@@ -117,12 +117,34 @@ class ScenarioConfig:
     n_social: PositiveInt
     social_spacing_m: PositiveMetres
     road: RoadConfig
+    streets: StreetsConfig
     vehicle: VehicleConfig
     ego_start_distance_m: Interval
     start_speed_mps: Interval
     desired_speed_mps: PositiveInterval
     pairing: Literal["ego_behaviour", "literal"]
     families: Annotated[Families, Field(min_length=1)]
+
+    @property
+    def training_streets(self) -> range:
+        """Numbers of the streets that training draws tasks on."""
+        return range(1, 1 + self.streets.n_training) if self.road.varies else range(1, 2)
+
+    @property
+    def held_out_streets(self) -> range:
+        """Numbers of the streets that everything else draws tasks on."""
+        if not self.road.varies:
+            return range(1, 2)
+        first = 1 + self.streets.n_training
+        return range(first, first + self.streets.n_held_out)
+
+    @property
+    def most_parked(self) -> int:
+        """Upper bound on the parked cars of a street."""
+        n_per_side, n_corridors = (
+            max(n) if isinstance(n, tuple) else n for n in (self.road.n_parked_per_side, self.road.n_corridors)
+        )
+        return 2 * n_per_side * n_corridors
 
     def check(self, foresight: Foresight) -> Iterator[Problem]:
         """foresight: of the planner."""
@@ -177,6 +199,7 @@ class TaskSampler:
 
     assign: gives the vehicles of drawn tasks their drivers, `agents.population.Cast.assign`; None = the planner drives
         all of them, in the styles of the families
+    streets: numbers of the streets on which tasks are drawn, each equally likely; None = those that are held out
     """
 
     def __init__(
@@ -185,12 +208,14 @@ class TaskSampler:
         families: Families,
         generator: torch.Generator,
         assign: Callable[[Task], Task] | None = None,
+        streets: range | None = None,
     ) -> None:
         if not families:
             raise UserError("families must name at least one task family, got none")
         self.scenario = scenario
         self.families = pair_styles(families, scenario.pairing)
         self.generator = generator
+        self.streets = scenario.held_out_streets if streets is None else streets
         self._assign = assign
         self._tables = _tabulate(list(self.families.values()), generator.device)
 
@@ -204,8 +229,8 @@ class TaskSampler:
         family = torch.searchsorted(tables.until, which[:, 0].contiguous(), right=True).clamp(max=len(tables.until) - 1)
         behind = torch.arange(n_social, device=family.device) * scenario.social_spacing_m
         social = _outside(tables.gaps[family], tables.distance[family], first) + behind
-        direction = -torch.ones(n, n_vehicles, device=family.device)
-        direction[:, EGO] = 1
+        direction = -self._draw_streets(n)[:, None].expand(-1, n_vehicles).contiguous()
+        direction[:, EGO] *= -1
         task = Task(
             start_distance=torch.cat([_between(scenario.ego_start_distance_m, ego), social], dim=1),
             start_speed=_between(scenario.start_speed_mps, start),
@@ -222,6 +247,13 @@ class TaskSampler:
             casting=Casting.of_nobody(direction),
         )
         return task if self._assign is None else self._assign(task)
+
+    def _draw_streets(self, n: int) -> Tensor:
+        """[n] float32: numbers of streets; of one street no random value is drawn."""
+        first, device = self.streets.start, self.generator.device
+        if len(self.streets) == 1:
+            return torch.full((n,), float(first), device=device)
+        return first + torch.randint(len(self.streets), (n,), generator=self.generator, device=device).float()
 
 
 def _tabulate(families: list[FamilyConfig], device: torch.device) -> _Tables:

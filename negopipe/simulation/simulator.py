@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from negopipe.simulation.build_road import build_road
 from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.dynamics import Dynamics
 from negopipe.simulation.perception import Sensor, other_columns
-from negopipe.simulation.road import Road, RouteState
+from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.state import AT_REST_MPS, EGO, Task, VehicleState, World
 from negopipe.simulation.tracker import no_tracks
@@ -55,7 +56,7 @@ class Simulator:
         self.scenario = scenario
         self.sensor = sensor
         self.dynamics = dynamics
-        self.road = Road(scenario.road, device)
+        self.road = build_road(scenario, device)
         others = other_columns(1 + scenario.n_social, device)
         self.collisions = CollisionCheck(self.road, scenario.vehicle, scenario.dt_s, others)
 
@@ -103,11 +104,11 @@ class Simulator:
         at_rest = replace(world.vehicles, speed=still, accel=still)
         is_wreck = world.has_collided & ~world.has_collided[:, EGO : EGO + 1]
         motion, reference = (tree_where(is_wreck, at_rest, state) for state in (motion, reference))
-        contact = self.collisions.first_contact(world.vehicles, motion)
+        contact = self.collisions.first_contact(world.vehicles, motion, world.task.direction)
         contact = torch.where(world.has_collided, torch.inf, contact)
         motion = self.collisions.moved_until(contact, world.vehicles, motion)
         s = self.road.progress(motion.position, world.task.direction)
-        has_reached = world.has_reached | (s >= self.road.target_s_m)
+        has_reached = world.has_reached | (s >= self.road.target_s(world.task.direction))
         rest_steps, has_switched = self._styles(world, motion)
         moved = World(
             vehicles=motion,

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from negopipe.checks import Problem
+from negopipe.simulation.build_road import build_road, draw_streets
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
-from negopipe.simulation.road import Road, RouteState
+from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig
 
 STEP_M = 0.25
@@ -45,11 +46,13 @@ class _Starts:
     """Start positions of a scenario, and their checks."""
 
     def __init__(self, scenario: ScenarioConfig) -> None:
-        self.scenario, self.size, self.road = scenario, scenario.vehicle, Road(scenario.road)
+        self.scenario, self.size = scenario, scenario.vehicle
+        self.streets, self.road = draw_streets(scenario), build_road(scenario)
+        self._number = torch.arange(1.0, 1 + self.road.n_streets)
 
     def check_corridor(self) -> Iterator[Problem]:
         """A vehicle fits between the parked cars."""
-        gap_m, width_m = self.scenario.road.corridor_gap_m, self.size.width_m
+        gap_m, width_m = min(street.corridor_gap_m for street in self.streets), self.size.width_m
         if width_m > gap_m:
             yield Problem("scenario.vehicle.width_m", f"be at most scenario.road.corridor_gap_m = {gap_m}", width_m)
 
@@ -63,9 +66,10 @@ class _Starts:
         touches = self._touches(distance, direction)
         if not touches.any():
             return
-        nearest_m, width_m, road = float(distance[touches].min()), self.size.width_m, self.scenario.road
+        nearest_m, width_m = float(distance.expand_as(touches)[touches].min()), self.size.width_m
         farther = nearest_m + torch.arange(0, SEARCHED_M, STEP_M)
-        clear, lane_m = farther[~self._touches(farther, direction)], road.width_m - 2 * road.lane_offset_m
+        clear = farther[~self._touches(farther, direction).any(0)]
+        lane_m = min(street.width_m - 2 * street.lane_offset_m for street in self.streets)
         if not len(clear) and width_m > lane_m:
             rule = f"be at most scenario.road.width_m - 2 lane_offset_m = {lane_m:g}, the width of a lane"
             yield Problem("scenario.vehicle.width_m", rule, width_m)
@@ -86,21 +90,27 @@ class _Starts:
         ego_m = self.scenario.ego_start_distance_m[0]
         ego, social = (self._boxes(torch.tensor([m]), way) for m, way in ((ego_m, 1.0), (social_m, -1.0)))
         if (overlap_depth(ego, social) > TOUCH_M).any():
-            across = f"across scenario.road.corridor_length_m = {self.scenario.road.corridor_length_m}"
+            shortest_m = min(street.corridor_length_m for street in self.streets)
+            across = f"across scenario.road.corridor_length_m = {shortest_m}"
             yield Problem(f"{key} and {ego_key}", "keep the vehicles apart", f"{social_m} and {ego_m} {across}")
 
     def _touches(self, distance: Tensor, direction: float) -> Tensor:
-        """[...] bool: a vehicle with the start distance [...] reaches into a parked car or over a kerb."""
-        boxes, parked = self._boxes(distance, direction), self.road.parked_boxes()
+        """[B, ...] bool: a vehicle with the start distance [...] touches a parked car or goes over a kerb."""
+        boxes, parked = self._boxes(distance, direction), self.road.parked_boxes(self._way(distance, direction))
         x, y, cos, sin = (field[..., None] for field in boxes[:4])
         is_in_a_car = overlap_depth(boxes._replace(x=x, y=y, cos=cos, sin=sin), parked) > TOUCH_M
-        return is_in_a_car.any(-1) | self.road.is_off_road(boxes)
+        return is_in_a_car.any(-1) | self.road.is_off_road(boxes, self._way(distance, direction))
+
+    def _way(self, distance: Tensor, direction: float) -> Tensor:
+        """[B, ...]: the direction of every street, with an axis for each of `distance`."""
+        return direction * self._number.reshape(-1, *[1] * distance.dim()).expand(-1, *distance.shape)
 
     def _boxes(self, distance: Tensor, direction: float) -> Boxes:
-        """Footprints [...] of vehicles that start `distance` [...] before their mouth, on their route."""
-        directions, zero = torch.full_like(distance, direction), torch.zeros_like(distance)
-        start = RouteState(-distance, zero, zero, *self.road.route_offset(-distance, directions))
-        vehicles = self.road.to_world(start, directions)
+        """Footprints [B, ...] of vehicles that start `distance` [...] before their mouth, on their route."""
+        way = self._way(distance, direction)
+        s = -distance.expand_as(way)
+        start = RouteState(s, torch.zeros_like(s), torch.zeros_like(s), *self.road.route_offset(s, way))
+        vehicles = self.road.to_world(start, way)
         x, y = vehicles.position.unbind(-1)
         return boxes_from_pose(x, y, vehicles.yaw, self.size.length_m, self.size.width_m)
 

@@ -1,4 +1,4 @@
-"""Places before and behind the corridor at which a vehicle that stands on its route lets the others pass."""
+"""Places before and behind a narrow place at which a vehicle that stands on its route lets the others pass."""
 
 from dataclasses import dataclass
 
@@ -6,63 +6,76 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.collisions import CollisionCheck
-from negopipe.simulation.road import RouteState
+from negopipe.simulation.road import Road, RouteState
 from negopipe.tensors.tree import map_tensors
 
 FARTHEST_M = 50.0
-"""Length of the search for a waiting place, before or behind the corridor, m."""
+"""Length of the search for a waiting place, before or behind a narrow place, m."""
 STEP_M = 0.25
 """Spacing of the places that are tried, m."""
 
 
 @dataclass(frozen=True)
 class Passage:
-    """The stretch of a street in which vehicles cannot pass each other, for both driving directions.
+    """The stretches of a road in which vehicles cannot pass each other, one around each narrow place.
 
-    waiting, leaving: [2] float32, m, s of the last place before it and of the first behind it at which the other can
-        pass; against the line, along it
+    A vehicle at s is in one, or comes to it next. All fields are [2B, M] float32, m, by way (`Road.way`) and narrow
+    place, in the order in which a vehicle meets them.
+
+    waiting, leaving: s of the last place before the narrow place and of the first behind it at which the other can pass
+    their_waiting, their_leaving: the same of an oncoming vehicle, on its own route
     """
 
+    road: Road
     waiting: Tensor
     leaving: Tensor
+    their_waiting: Tensor
+    their_leaving: Tensor
 
     @staticmethod
     def of(collisions: CollisionCheck) -> "Passage":
-        like = collisions.road.parked_cars
-        waiting = [waiting_place(collisions, 0.0, direction) for direction in (-1.0, 1.0)]
-        leaving = [leaving_place(collisions, direction) for direction in (-1.0, 1.0)]
-        return Passage(like.new_tensor(waiting), like.new_tensor(leaving))
+        waiting, leaving = waiting_places(collisions, 0.0), _leaving_places(collisions)
+        return Passage(
+            collisions.road, waiting, leaving, *(collisions.road.seen_by_oncoming(each) for each in (waiting, leaving))
+        )
 
-    def waiting_s(self, direction: Tensor) -> Tensor:
-        """[...] m: of vehicles that drive in `direction` [...] (+1 or -1)."""
-        return torch.where(direction > 0, self.waiting[1], self.waiting[0])
+    def at(self, table: Tensor, s: Tensor, direction: Tensor) -> Tensor:
+        """[...] m: values of one of the fields for vehicles that drive in `direction` [...] and are at s [...]."""
+        return self.road.of_place(table, self.leaving, s, direction)
 
-    def leaving_s(self, direction: Tensor) -> Tensor:
-        """[...] m: of vehicles that drive in `direction` [...] (+1 or -1)."""
-        return torch.where(direction > 0, self.leaving[1], self.leaving[0])
+    def waiting_s(self, s: Tensor, direction: Tensor) -> Tensor:
+        """[...] m: `waiting` of vehicles that drive in `direction` [...] and are at s [...]."""
+        return self.at(self.waiting, s, direction)
+
+    def leaving_s(self, s: Tensor, direction: Tensor) -> Tensor:
+        """[...] m: `leaving` of vehicles that drive in `direction` [...] and are at s [...]."""
+        return self.at(self.leaving, s, direction)
 
 
-def waiting_place(collisions: CollisionCheck, latest_s_m: float, direction: float) -> float:
-    """s (m) of the last place on the own route, `latest_s_m` at most, that the other can pass on its route.
+def waiting_places(collisions: CollisionCheck, latest_m: float) -> Tensor:
+    """[2B, M] float32, m: s of the last places on the own route that the other can pass, by way and narrow place.
 
-    It is -inf where there is none within `FARTHEST_M`.
+    They lie `latest_m` at most behind the mouth of their narrow place. Where there is none within `FARTHEST_M`, it is
+    -inf.
     """
-    s = torch.arange(latest_s_m, -FARTHEST_M, -STEP_M, device=collisions.road.parked_cars.device)
-    is_passable = _is_passable(collisions, s, direction)
-    return float(s[is_passable].max()) if is_passable.any() else -torch.inf
+    mouths = collisions.road.narrow_places[..., 0]
+    before = torch.arange(latest_m, -FARTHEST_M, -STEP_M, device=mouths.device)
+    s = mouths[..., None] + before  # [2B, M, K]
+    return torch.where(_is_passable(collisions, s), s, -torch.inf).amax(-1)
 
 
-def leaving_place(collisions: CollisionCheck, direction: float) -> float:
-    """s (m) of the first place behind the corridor that the other can pass; inf where there is none."""
-    length_m = collisions.road.config.corridor_length_m
-    s = torch.arange(length_m, length_m + FARTHEST_M, STEP_M, device=collisions.road.parked_cars.device)
-    is_passable = _is_passable(collisions, s, direction)
-    return float(s[is_passable].min()) if is_passable.any() else torch.inf
+def _leaving_places(collisions: CollisionCheck) -> Tensor:
+    """[2B, M] float32, m: s of the first places behind the narrow places that the other can pass, inf without one."""
+    ends = collisions.road.narrow_places[..., 1]
+    s = ends[..., None] + torch.arange(0.0, FARTHEST_M, STEP_M, device=ends.device)
+    return torch.where(_is_passable(collisions, s), s, torch.inf).amin(-1)
 
 
-def _is_passable(collisions: CollisionCheck, s: Tensor, direction: float) -> Tensor:
-    """[K] bool: the other can pass a vehicle that stands on its route at s [K]."""
-    road, own, zero = collisions.road, torch.full_like(s, direction), torch.zeros_like(s)
+def _is_passable(collisions: CollisionCheck, s: Tensor) -> Tensor:
+    """[2B, M, K] bool: the other can pass a vehicle that stands on its route at s [2B, M, K]."""
+    road, shape, s = collisions.road, s.shape, s.flatten()
+    own = road.ways[:, None, None].expand(shape).flatten()
+    zero = torch.zeros_like(s)
     standing = road.to_world(RouteState(s, zero, zero, *road.route_offset(s, own)), own)
     waiting = map_tensors(lambda field: field[:, None], standing)
-    return ~collisions.stands_on_route(waiting, -own[:, None])[:, 0]
+    return ~collisions.stands_on_route(waiting, -own[:, None])[:, 0].reshape(shape)

@@ -27,8 +27,9 @@ from negopipe.report.sections import (
     unseen_distances,
 )
 from negopipe.runtime.build import build, load_weights
+from negopipe.simulation.build_road import build_road
 from negopipe.simulation.road import Road
-from negopipe.simulation.scenario import ScenarioConfig
+from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import EGO
 from negopipe.stages.behaviour_map import MAP_NAME
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
@@ -38,6 +39,9 @@ from negopipe.tracking.csv_file import read_csv
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
+
+SEEN_M = 60.0
+"""Length of a drawn street on either side of its corridor, m."""
 
 log = logging.getLogger("negopipe")
 
@@ -62,21 +66,21 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     write_claims(tracked, claims)
     drawings = FigureWriter(tracked.folder / "figures", config.report.figure_formats)
     films = FigureWriter(tracked.folder / "animations")
-    road = Road(config.scenario.road)
+    road = build_road(config.scenario)
     policy_traces = record_policies(config, tracked, traces)
     log.info("report: figures")
     sections = [
         planners_section(drawings, table, unseen_distances(config), fixed_s),
-        negotiations_section(drawings, traces, road.corridor_sigma_m, fixed_s),
+        negotiations_section(drawings, traces, fixed_s),
         films_section(
             config.report,
             films,
             traces,
-            make_scene(config.scenario, road, config.planner.horizon_s),
+            lambda street: make_scene(config.scenario.vehicle, road, street, config.planner.horizon_s),
             policy_traces,
             fixed_s,
         ),
-        behaviour_section(drawings, traces, config.scenario.road.corridor_length_m, tracked.folder / MAP_NAME, fixed_s),
+        behaviour_section(drawings, traces, tracked.folder / MAP_NAME, fixed_s),
         training_section(
             drawings, films, tracked, sorted({gap for gaps in unseen_distances(config).values() for gap in gaps})
         ),
@@ -94,21 +98,24 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     log.info("report: %s", tracked.folder / "report.html")
 
 
-def make_scene(scenario: ScenarioConfig, road: Road, plan_s: float) -> Scene:
-    """The static scene as plain arrays for drawing; plan_s: length of a plan, s."""
-    reach_m = 60.0 + scenario.road.corridor_length_m / 2
-    kerbs = road.kerb_lines(-reach_m, reach_m)
-    sigma = torch.linspace(-reach_m, reach_m, kerbs.shape[1])
-    direction = torch.tensor([[1.0], [-1.0]])
-    s = direction * sigma + scenario.road.corridor_length_m / 2
+def make_scene(vehicle: VehicleConfig, road: Road, street: int, plan_s: float) -> Scene:
+    """A street as plain arrays for drawing; street: its number; plan_s: length of a plan, s."""
+    along = torch.tensor(float(street), device=road.device)
+    half_m = float(road.corridor_m(along)) / 2
+    sigma = road.sampled(-half_m - SEEN_M, half_m + SEEN_M)
+    direction = along * torch.tensor([[1.0], [-1.0]], device=road.device)
+    sign = road.sign(direction)
+    parked = road.parked_boxes(along)
+    sizes = (2 * torch.as_tensor(half) for half in (parked.half_length, parked.half_width))
+    places = road.narrow_places[int(road.way(along))] - half_m
     return Scene(
-        parked_cars=road.parked_cars.cpu().numpy(),
-        line_m=torch.stack([sigma, *road.reference.pose(sigma)], -1).numpy(),
-        kerbs_m=kerbs.numpy(),
-        corridor_m=road.kerb_lines(*road.corridor_sigma_m).numpy(),
-        route_d_m=(direction * road.route_offset(s, direction)[0]).numpy(),
-        vehicle_length_m=scenario.vehicle.length_m,
-        vehicle_width_m=scenario.vehicle.width_m,
+        parked_cars=torch.stack([parked.x, parked.y, torch.atan2(parked.sin, parked.cos), *sizes], -1).cpu().numpy(),
+        line_m=torch.stack([sigma, *road.line(along).pose(sigma)], -1).cpu().numpy(),
+        kerbs_m=road.kerb_lines(sigma, along).cpu().numpy(),
+        corridors_m=[road.kerb_lines(road.sampled(*place), along).cpu().numpy() for place in places.tolist()],
+        route_d_m=(sign * road.route_offset(sign * sigma + half_m, direction)[0]).cpu().numpy(),
+        vehicle_length_m=vehicle.length_m,
+        vehicle_width_m=vehicle.width_m,
         plan_s=plan_s,
     )
 

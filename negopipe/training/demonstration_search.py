@@ -61,7 +61,9 @@ def demonstrated_tasks(config: "RunConfig", wanted: DemonstrationsConfig, game: 
     device = game.planner.times.device
     streams = {name: generator(config.seed, f"demonstrated tasks {name}", device) for name in families}
     return {
-        name: TaskSampler(scenario, {name: family}, streams[name], game.cast.assign).draw(wanted.n_tasks)
+        name: TaskSampler(scenario, {name: family}, streams[name], game.cast.assign, scenario.training_streets).draw(
+            wanted.n_tasks
+        )
         for name, family in families.items()
     }
 

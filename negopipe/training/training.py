@@ -51,7 +51,8 @@ class Training:
         self.curriculum, self._reward = Curriculum(config.curriculum), config.reward
         scenario = config.curriculum.scenario(config.scenario)
         self._samplers = [
-            TaskSampler(scenario, stage.families, tasks, game.cast.assign) for stage in config.curriculum.stages
+            TaskSampler(scenario, stage.families, tasks, game.cast.assign, scenario.training_streets)
+            for stage in config.curriculum.stages
         ]
         horizons_s = config.policy.horizons_s
         self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds)

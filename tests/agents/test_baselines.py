@@ -22,7 +22,7 @@ from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import Task
-from negopipe.simulation.waiting_place import waiting_place
+from negopipe.simulation.waiting_place import waiting_places
 
 TOGETHER = {"paper", "all"}
 """Options that stand for several."""
@@ -109,8 +109,9 @@ def test_cautious_waits_where_the_other_can_pass_and_goes_on_waiting(
 )
 def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: float, waiting_m: float) -> None:
     simulator = build_game(compose_config([f"scenario={scenario}"])).simulator
-    assert waiting_place(simulator.collisions, -9.0, side) == waiting_m
-    assert waiting_place(simulator.collisions, 0.0, side) < -5.0  # in the corridor nobody can pass
+    early, latest = (waiting_places(simulator.collisions, latest_m)[int(side < 0), 0] for latest_m in (-9.0, 0.0))
+    assert early == waiting_m
+    assert latest < -5.0  # in the corridor nobody can pass
 
 
 def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:
@@ -237,10 +238,12 @@ def test_it_waits_for_who_could_be_there_too_soon(
     assert isinstance(usual, cautious.Config)
     one = torch.ones(1, 1)
     own = RouteState(-10 * one, 5 * one, 0 * one, 0 * one, 0 * one, 0 * one)
-    met = Encounter(own, -other_m * one[None], 7.5 * one[None], 58 * one[None], one[None] > 0, one[None] < 0)
-    must_wait = replace(usual, margin_s=margin_s).must_wait(met, 6 * one, 12.0, 4.5)
-    places = route_following.waiting_places(game.simulator, usual.stop_s_m)
-    line = route_following.stop_line(met, must_wait, places, usual.gap_m, one)
+    met = Encounter(
+        own, own.s, 12 * one, -other_m * one[None], 7.5 * one[None], 58 * one[None], one[None] > 0, one[None] < 0
+    )
+    must_wait = replace(usual, margin_s=margin_s).must_wait(met, 6 * one, 4.5)
+    lines = route_following.StopLines(game.simulator, usual.stop_s_m, usual.gap_m)
+    line = lines.hindrance(met, must_wait, one)
     assert line.gap_m.item() == pytest.approx(gap_m)  # to s = -9 m, and 2 m that it would keep
     assert line.closing_mps.item() == 5.0
 

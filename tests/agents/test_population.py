@@ -137,7 +137,7 @@ def test_one_direction_goes_first(scenario: str, first: str, goes_first: str) ->
     tasks = tasks_of(config, game, 12)
     trace = drive_episodes(game, partial(rule.driver, game), tasks, 64, config.evaluation.reward, ("both", "x"))
     assert (trace.outcome == OUTCOMES.index("success")).all()
-    assert (passes_first(trace, config.scenario.road.corridor_length_m) == goes_first).all()
+    assert (passes_first(trace) == goes_first).all()
 
 
 def test_an_undecided_driver_draws_anew_every_second() -> None:

@@ -35,7 +35,7 @@ SPEED_COLUMN = EpisodeColumn(
 
 def drives_of(planner: str, speed_mps: float) -> Drives:
     trace = replace(make_trace([speed_mps] * 4, 3, (2, 3), "success"), planner=planner)
-    return Drives(trace, 12.0, VehicleConfig(length_m=4.5, width_m=1.8), braking_mps2=8.0, plan_s=6.0)
+    return Drives(trace, VehicleConfig(length_m=4.5, width_m=1.8), braking_mps2=8.0, plan_s=6.0)
 
 
 def evaluated() -> tuple[pd.DataFrame, dict[str, Any]]:

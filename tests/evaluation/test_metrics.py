@@ -29,6 +29,8 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
         planner="fixed_2",
         setting="push",
         dt_s=DT_S,
+        street=np.ones(len(start), dtype=np.int64),
+        corridor_m=np.full(len(start), CORRIDOR_M, dtype=np.float32),
         start_distance_m=start,
         style_horizon_s=np.array([[np.nan, 6.0]], dtype=np.float32),
         driver=np.array([["", "planner"]]),
@@ -46,7 +48,7 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
 
 
 def drives_of(trace: Trace) -> Drives:
-    return Drives(trace, CORRIDOR_M, VehicleConfig(length_m=4.5, width_m=1.8), braking_mps2=8.0, plan_s=6.0)
+    return Drives(trace, VehicleConfig(length_m=4.5, width_m=1.8), braking_mps2=8.0, plan_s=6.0)
 
 
 def concatenate(*traces: Trace) -> Trace:
@@ -116,7 +118,7 @@ def test_the_first_to_leave_the_corridor_passes_first() -> None:
     ego.progress_m[:, 0] = [[-13, -6], [5, 3], [12.5, 5], [20, 13]]
     social.progress_m[:, 0] = [[-13, -6], [0, 3], [0, 12.5], [13, 20]]
     none.progress_m[:, 0] = [[-13, -6], [0, 3], [3, 5], [5, 12.0]]  # at the far end is not yet beyond it
-    assert passes_first(concatenate(ego, social, none), CORRIDOR_M).tolist() == ["ego", "social", "none"]
+    assert passes_first(concatenate(ego, social, none)).tolist() == ["ego", "social", "none"]
 
 
 def test_behaviour_index_is_equation_7() -> None:

@@ -50,6 +50,8 @@ def make_trace(social_x_m: list[list[float]]) -> Trace:
         planner="fixed_0",
         setting="push",
         dt_s=0.2,
+        street=np.ones(1, dtype=np.int64),
+        corridor_m=np.full(1, 12.0, dtype=np.float32),
         start_distance_m=np.zeros((1, n_vehicles)),
         style_horizon_s=np.zeros((1, n_vehicles)),
         driver=np.full((1, n_vehicles), "planner"),
@@ -152,7 +154,7 @@ def test_weaker_brakes_avoid_less() -> None:
 
 
 def row_of(trace: Trace) -> pd.Series:
-    return episodes(Drives(trace, 12.0, VEHICLE, BRAKING_MPS2, plan_s=6.0)).iloc[0]
+    return episodes(Drives(trace, VEHICLE, BRAKING_MPS2, plan_s=6.0)).iloc[0]
 
 
 def test_a_row_of_measures() -> None:

@@ -21,6 +21,8 @@ def make_trace(planner: str, seed: int) -> Trace:
         planner=planner,
         setting="push",
         dt_s=0.2,
+        street=np.ones(3, dtype=np.int64),
+        corridor_m=floats(3),
         start_distance_m=floats(3, 2),
         style_horizon_s=np.array([[np.nan, 2.0]] * 3, dtype=np.float32),
         driver=np.array([["", "planner"]] * 3),

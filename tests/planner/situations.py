@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.geometry import Boxes, boxes_from_pose
-from negopipe.simulation.road import Road, RouteState
+from negopipe.simulation.one_street import OneStreet
+from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import VehicleState
 
 
@@ -26,7 +27,7 @@ class Situation(NamedTuple):
     other: VehicleState
 
 
-def draw_situations(road: Road, n: int, seed: int) -> Situation:
+def draw_situations(road: OneStreet, n: int, seed: int) -> Situation:
     """Half of the others drive the same way; all are within reach of a plan."""
     generator = torch.Generator().manual_seed(seed)
 
@@ -47,7 +48,7 @@ def draw_situations(road: Road, n: int, seed: int) -> Situation:
     return Situation(route, direction, between(3, 6), between(0, 6), VehicleState(*columns))
 
 
-def _somewhere(road: Road, s: Tensor, direction: Tensor, between: Callable[[float, float], Tensor]) -> RouteState:
+def _somewhere(road: OneStreet, s: Tensor, direction: Tensor, between: Callable[[float, float], Tensor]) -> RouteState:
     """Beside the route by up to 1 m, turned from it by up to 25 degrees, at any speed and acceleration."""
     d, d_prime, _ = road.route_offset(s, direction)
     turned = math.tan(math.radians(25))
@@ -56,7 +57,9 @@ def _somewhere(road: Road, s: Tensor, direction: Tensor, between: Callable[[floa
     )
 
 
-def world_boxes(road: Road, s: Tensor, direction: Tensor, d: Tensor, tan: Tensor, length: float, width: float) -> Boxes:
+def world_boxes(
+    road: OneStreet, s: Tensor, direction: Tensor, d: Tensor, tan: Tensor, length: float, width: float
+) -> Boxes:
     """True footprints of vehicles whose heading has the tangent `tan` to the line; all broadcast, float64."""
     s, direction, d, tan = torch.broadcast_tensors(*(field.double() for field in (s, direction, d, tan)))
     sigma = direction * (s - road.config.corridor_length_m / 2)

@@ -33,9 +33,9 @@ def rule_of(game: Game, world: World) -> tuple[Tensor, Tensor]:
     seen = game.perceive(world).of(EGO)
     other = map_tensors(lambda field: field[:, 0].transpose(0, 1), seen.other)
     assert game.planner.give_way is not None
-    earliest, latest = game.planner.give_way.times_of_others(
-        other, seen.direction[:, 0], seen.is_seen[:, 0].transpose(0, 1)
-    )
+    direction = seen.direction[:, 0]
+    own = game.simulator.road.to_route(map_tensors(lambda field: field[:, 0], seen.own), direction)
+    earliest, latest = game.planner.give_way.times_of_others(other, own, direction, seen.is_seen[:, 0].transpose(0, 1))
     return earliest[0], latest[0]
 
 

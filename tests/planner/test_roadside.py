@@ -17,7 +17,7 @@ from torch import Tensor
 from negopipe.game.game import build_game
 from negopipe.planner.roadside import Roadside
 from negopipe.simulation.geometry import overlap_depth
-from negopipe.simulation.road import Road
+from negopipe.simulation.one_street import OneStreet
 
 OFF_M = 0.05
 """By how much a footprint must be deeper than 0 for the planner to know, on a bent road."""
@@ -61,7 +61,7 @@ def touches(roadside: Roadside, at: Places, grown_m: float) -> Tensor:
 )
 def test_excess_tells_who_touches_the_roadside(scenario: str, n: int, optimistic_m: float, careful_m: float) -> None:
     config = compose_config([f"scenario={scenario}"])
-    roadside = Roadside(Road(config.scenario.road), config.scenario.vehicle, torch.tensor([0.2]))
+    roadside = Roadside(OneStreet(config.scenario.road.street), config.scenario.vehicle, torch.tensor([0.2]))
     at = draw_places(n, config.scenario.road.corridor_length_m)
     excess = roadside.excess(at.s[None], at.direction, at.d[None, None], at.d_prime[None, None])[0, 0]
     is_refused = excess > 0
@@ -78,6 +78,7 @@ def test_cars_without_room_between_them_are_one_row() -> None:
         build_game(compose_config(["scenario=one_sided", f"scenario.road.parked_car_length_m={length}"])).planner
         for length in (3.6, 2.0)
     )
-    (row,) = near.roadside.rows
-    assert (row.sigma, row.half_length, row.side) == (0.0, pytest.approx(6.0), 1)
-    assert len(apart.roadside.rows) == 3
+    along = torch.ones(1)
+    (row,) = near.roadside.rows(along)
+    assert (float(row.sigma), float(row.half_length), float(row.side)) == (0.0, pytest.approx(6.0), 1)
+    assert len(apart.roadside.rows(along)) == 3

@@ -29,7 +29,7 @@ def make_scene() -> Scene:
         parked_cars=np.array(cars),
         line_m=np.stack([sigma, sigma, straight, straight], -1),
         kerbs_m=np.stack([np.stack([sigma, side * kerb], -1) for side in (-1, 1)]),
-        corridor_m=np.array([[(x, side * 3.5) for x in (-6.0, 6.0)] for side in (-1, 1)]),
+        corridors_m=[np.array([[(x, side * 3.5) for x in (-6.0, 6.0)] for side in (-1, 1)])],
         route_d_m=np.stack([keep_right, -keep_right]),
         vehicle_length_m=4.5,
         vehicle_width_m=1.8,
@@ -88,6 +88,8 @@ def _finish(
         planner=planner,
         setting=family,
         dt_s=DT_S,
+        street=np.ones(len(start), dtype=np.int64),
+        corridor_m=np.full(len(start), CORRIDOR_M, dtype=np.float32),
         start_distance_m=start.astype(np.float32),
         style_horizon_s=np.tile(np.float32([np.nan, STYLE_S[family]]), (n_episodes, 1)),
         driver=np.tile(np.array(["", "planner"]), (n_episodes, 1)),
@@ -168,7 +170,7 @@ def traces() -> list[Trace]:
 @pytest.fixture(scope="session")
 def table(traces: list[Trace]) -> pd.DataFrame:
     vehicle = VehicleConfig(length_m=4.5, width_m=1.8)
-    rows = [episodes(Drives(trace, CORRIDOR_M, vehicle, 8.0, 6.0)) for trace in traces]
+    rows = [episodes(Drives(trace, vehicle, 8.0, 6.0)) for trace in traces]
     return pd.concat(rows, ignore_index=True)
 
 

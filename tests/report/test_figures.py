@@ -25,8 +25,8 @@ DRAWINGS: dict[str, Draw] = {
     "outcome_map": lambda traces, table, history: outcome_figures.outcome_map(table, "Yield", [(12.2, 12.6)]),
     "behaviour": lambda traces, table, history: figures.behaviour(traces, FIXED_S),
     "horizons": lambda traces, table, history: figures.horizons(traces),
-    "horizons_along": lambda traces, table, history: figures.horizons_along(traces, 12.0),
-    "space_time": lambda traces, table, history: figures.space_time(traces[:5], 0, (-6.0, 6.0), FIXED_S),
+    "horizons_along": lambda traces, table, history: figures.horizons_along(traces),
+    "space_time": lambda traces, table, history: figures.space_time(traces[:5], 0, FIXED_S),
     "training": lambda traces, table, history: figures.training(history),
 }
 
@@ -159,7 +159,7 @@ def test_horizons_fill_exactly_the_running_episodes(traces: list[Trace]) -> None
 
 
 def test_space_time_colours_the_ego_by_its_horizon(traces: list[Trace]) -> None:
-    figure = figures.space_time(traces[:5], 0, (-6.0, 6.0), FIXED_S)
+    figure = figures.space_time(traces[:5], 0, FIXED_S)
     for axis, trace in zip(figure.axes, traces[:5], strict=True):
         colors = [to_hex(color) for color in axis.collections[-1].get_colors()]
         horizon = trace.horizon_s[: trace.n_steps[0], 0, 0]
@@ -181,7 +181,7 @@ def test_training_draws_only_what_was_logged_and_marks_the_stages(history: pd.Da
 
 
 def test_horizons_along_the_road_are_shares_of_the_decisions_there(traces: list[Trace]) -> None:
-    axis = figures.horizons_along(traces, 12.0).axes[0]
+    axis = figures.horizons_along(traces).axes[0]
     adaptive = traces[0]
     reached = adaptive.reached_step[:, 0]
     is_running = np.arange(len(adaptive.reward))[:, None] < np.where(reached < 0, adaptive.n_steps, reached)

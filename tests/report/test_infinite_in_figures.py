@@ -44,11 +44,11 @@ def with_infinite(trace: Trace) -> Trace:
 def test_legends_and_lines_show_it(traces: list[Trace]) -> None:
     changed = [with_infinite(trace) for trace in traces]
     some = next(trace for trace in changed if np.isinf(trace.horizon_s[0, 0, 0]))
-    figure = figures.space_time([some], 0, (-6.0, 6.0), FIXED)
+    figure = figures.space_time([some], 0, FIXED)
     assert f"horizon {SIGN}" in [text.get_text() for text in figure.legends[0].get_texts()]
     assert style.QUIET not in [to_hex(color).upper() for color in figure.axes[0].collections[-1].get_colors()]
     adaptive = [trace for trace in changed if trace.planner == "adaptive"]
-    for drawing in (figures.horizons(adaptive), figures.horizons_along(adaptive, 12.0)):
+    for drawing in (figures.horizons(adaptive), figures.horizons_along(adaptive)):
         labels = [text.get_text() for text in drawing.legends[0].get_texts()]
         assert labels[-1] == f"horizon {SIGN}"
 

@@ -25,7 +25,7 @@ from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
 from negopipe.report import labels
 from negopipe.report.page import ReportConfig
-from negopipe.simulation.road import Road
+from negopipe.simulation.build_road import build_road
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.stages import report
 
@@ -261,7 +261,7 @@ def test_planners_must_have_driven_the_same_tasks(run: RecordedRun) -> None:
 
 def test_the_scene_is_the_road(run: RecordedRun) -> None:
     config = Config().scenario
-    scene = report.make_scene(config, Road(config.road), 6.0)
+    scene = report.make_scene(config.vehicle, build_road(config), 1, 6.0)
     sigma, x, y, heading = scene.line_m.T
     assert (x == sigma).all()
     assert not y.any()
@@ -272,6 +272,7 @@ def test_the_scene_is_the_road(run: RecordedRun) -> None:
         is_outside = abs(x) > 6 + config.road.swerve_length_m
         assert d[is_outside].tolist() == pytest.approx([side * lane] * int(is_outside.sum()))
     assert scene.kerbs_m[:, 0].tolist() == [[x[0], -half_width], [x[0], half_width]]
-    assert scene.corridor_m[:, [0, -1], 0].tolist() == [[-6.0, 6.0]] * 2
+    (corridor,) = scene.corridors_m
+    assert corridor[:, [0, -1], 0].tolist() == [[-6.0, 6.0]] * 2
     assert (scene.vehicle_length_m, scene.vehicle_width_m) == (4.5, 1.8)
     assert scene.parked_cars.shape == (2 * config.road.n_parked_per_side, 5)

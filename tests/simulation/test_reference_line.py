@@ -7,13 +7,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from negopipe.simulation.reference_line import REACH_M, BendConfig, ReferenceLine, check_bends
+from negopipe.simulation.reference_line import REACH_M, Bend, ReferenceLine, check_bends
 
 SHARPEST = 15 / 8  # largest slope of the smooth step: a bend's sharpest curvature is this times angle / length
 
 
-def bend_of_radius(start_m: float, radius_m: float, angle_deg: float) -> BendConfig:
-    return BendConfig(start_m, SHARPEST * math.radians(abs(angle_deg)) * radius_m, angle_deg)
+def bend_of_radius(start_m: float, radius_m: float, angle_deg: float) -> Bend:
+    return Bend(start_m, SHARPEST * math.radians(abs(angle_deg)) * radius_m, angle_deg)
 
 
 QUARTER = [bend_of_radius(-20.0, 20.0, 90.0)]
@@ -26,7 +26,7 @@ def stations(half_m: float, n: int, dtype: torch.dtype = torch.float64) -> torch
 
 
 def test_without_bends_the_line_is_the_x_axis() -> None:
-    line = ReferenceLine([BendConfig(0.0, 10.0, 0.0)])
+    line = ReferenceLine([Bend(0.0, 10.0, 0.0)])
     assert line.is_straight
     sigma, d = torch.tensor([-7.0, 300.0]), torch.tensor([1.0, -2.0])
     assert line.place(sigma, d) == (sigma, d)
@@ -36,7 +36,7 @@ def test_without_bends_the_line_is_the_x_axis() -> None:
 
 
 @bent
-def test_the_origin_is_the_corridors_middle(bends: list[BendConfig]) -> None:
+def test_the_origin_is_the_corridors_middle(bends: list[Bend]) -> None:
     x, y, heading = ReferenceLine(bends).pose(torch.zeros(()))
     assert (float(x), float(y), float(heading)) == pytest.approx((0, 0, 0), abs=1e-6)
 
@@ -44,7 +44,7 @@ def test_the_origin_is_the_corridors_middle(bends: list[BendConfig]) -> None:
 def test_a_quarter_turn_by_hand() -> None:
     # symmetric about 0: seen from the middle the legs point 45 deg down and up, at equal distance
     length = 40.0
-    line = ReferenceLine([BendConfig(-length / 2, length, 90.0)])
+    line = ReferenceLine([Bend(-length / 2, length, 90.0)])
     assert line.bent_m == (-length / 2, length / 2)
     x, y, heading = line.pose(torch.tensor([-60.0, -20.0, 20.0, 60.0], dtype=torch.float64))
     assert heading.tolist() == pytest.approx([-math.pi / 4] * 2 + [math.pi / 4] * 2)
@@ -63,7 +63,7 @@ def test_a_quarter_turn_by_hand() -> None:
 
 
 @bent
-def test_heading_and_curvature_are_derivatives(bends: list[BendConfig]) -> None:
+def test_heading_and_curvature_are_derivatives(bends: list[Bend]) -> None:
     line, step = ReferenceLine(bends), 1e-4
     sigma = stations(70.0, 997)
     (x0, y0, h0), (x1, y1, h1) = line.pose(sigma - step), line.pose(sigma + step)
@@ -79,7 +79,7 @@ def test_heading_and_curvature_are_derivatives(bends: list[BendConfig]) -> None:
 
 @bent
 @pytest.mark.parametrize("half_m", [80.0, 500.0])
-def test_there_and_back(bends: list[BendConfig], half_m: float) -> None:
+def test_there_and_back(bends: list[Bend], half_m: float) -> None:
     line = ReferenceLine(bends)
     sigma = stations(half_m, 1601, torch.float32)[:, None].expand(-1, 9)
     d = stations(4.0, 9, torch.float32).expand(1601, 9)
@@ -104,7 +104,7 @@ def test_there_and_back_on_any_bend(
 ) -> None:
     bend = bend_of_radius(start, radius, side * angle)
     if start + bend.length_m > REACH_M:
-        bend = BendConfig(start, REACH_M - start, bend.angle_deg)
+        bend = Bend(start, REACH_M - start, bend.angle_deg)
     line = ReferenceLine([bend])
     place = torch.tensor([sigma, d], dtype=torch.float32)
     back = torch.stack(line.project(*line.place(*place)))
@@ -122,18 +122,18 @@ def test_left_is_positive() -> None:
 @pytest.mark.parametrize(
     ("bends", "line"),
     [
-        ([BendConfig(190.0, 20.0, 10.0)], "bends must lie within 200 m from the corridor, got 190 to 210"),
-        ([BendConfig(0.0, 10.0, 90.0)], "bends must have a radius of at least width_m 7, got 3.4"),
-        ([BendConfig(-80.0, 80.0, 100.0), BendConfig(0.0, 80.0, 100.0)], "bends must turn by less than 180 deg"),
+        ([Bend(190.0, 20.0, 10.0)], "bends must lie within 200 m from the corridor, got 190 to 210"),
+        ([Bend(0.0, 10.0, 90.0)], "bends must have a radius of at least width_m 7, got 3.4"),
+        ([Bend(-80.0, 80.0, 100.0), Bend(0.0, 80.0, 100.0)], "bends must turn by less than 180 deg"),
     ],
 )
-def test_impossible_bends_are_refused(bends: list[BendConfig], line: str) -> None:
+def test_impossible_bends_are_refused(bends: list[Bend], line: str) -> None:
     with pytest.raises(ValueError, match=line):
         check_bends(bends, width_m=7.0)
 
 
 def test_bends_that_add_up_are_too_sharp() -> None:
-    bend = BendConfig(0.0, 20.0, 50.0)  # a radius of 12 m, together 6 m
+    bend = Bend(0.0, 20.0, 50.0)  # a radius of 12 m, together 6 m
     check_bends([bend], width_m=7.0)
     with pytest.raises(ValueError, match="radius"):
         check_bends([bend, bend], width_m=7.0)

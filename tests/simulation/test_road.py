@@ -11,7 +11,9 @@ from pydantic import ValidationError
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
-from negopipe.simulation.road import Road, RoadConfig, RouteState
+from negopipe.simulation.one_street import OneStreet
+from negopipe.simulation.road import RouteState
+from negopipe.simulation.road_config import RoadConfig
 from negopipe.simulation.state import VehicleState
 
 LEFT_BEND = [{"start_m": -26.2, "length_m": 52.4, "angle_deg": 40.0}]  # radius 40 m at the tightest
@@ -22,8 +24,8 @@ SHARP_S = [
 bent = pytest.mark.parametrize("bends", [LEFT_BEND, SHARP_S], ids=["left", "s"])
 
 
-def road_with(config: RunConfig, **changes: Any) -> Road:
-    return Road(RoadConfig(**(asdict(config.scenario.road) | changes)))
+def road_with(config: RunConfig, **changes: Any) -> OneStreet:
+    return OneStreet(RoadConfig(**(asdict(config.scenario.road) | changes)).street)
 
 
 def random_vehicles(n: int) -> tuple[VehicleState, torch.Tensor]:
@@ -105,7 +107,7 @@ def test_what_does_not_fit_is_refused(config: RunConfig, change: dict, line: str
 
 
 def test_arrival_is_beyond_the_corridor(config: RunConfig) -> None:
-    road = Road(config.scenario.road)
+    road = OneStreet(config.scenario.road.street)
     assert road.target_s_m == config.scenario.road.corridor_length_m + config.scenario.road.target_distance_m
 
 
@@ -148,7 +150,7 @@ def test_route_derivatives(config: RunConfig, side: str) -> None:
     torch.testing.assert_close((d_prime1 - d_prime0) / (2 * step), d_pprime.expand_as(d_prime1), atol=3e-5, rtol=0)
 
 
-def on_bent_road(road: Road, n: int, dtype: torch.dtype) -> tuple[VehicleState, torch.Tensor]:
+def on_bent_road(road: OneStreet, n: int, dtype: torch.dtype) -> tuple[VehicleState, torch.Tensor]:
     """Vehicles of both directions anywhere on the road, headings within 0.6 rad of it."""
     vehicles, direction = random_vehicles(n)
     sigma, d = vehicles.position.unbind(-1)
@@ -221,8 +223,8 @@ def test_both_directions_see_a_mirrored_road(config: RunConfig) -> None:
 def test_parked_cars_stand_along_the_bend(config: RunConfig) -> None:
     road = road_with(config, bends=LEFT_BEND)
     sigma, d, length, width = road.parked_on_line.unbind(-1)
-    straight = Road(config.scenario.road)
-    torch.testing.assert_close(road.parked_on_line, straight.parked_cars[:, [0, 1, 3, 4]])
+    straight = OneStreet(config.scenario.road.street)
+    torch.testing.assert_close(torch.tensor(road.parked_on_line[0]), straight.parked_cars[:, [0, 1, 3, 4]])
     x, y, yaw, _, _ = road.parked_cars.unbind(-1)
     torch.testing.assert_close(torch.stack(road.reference.project(x, y)), torch.stack([sigma, d]), atol=1e-5, rtol=0)
     torch.testing.assert_close(yaw, road.reference.heading(sigma))
@@ -301,7 +303,7 @@ def test_a_view_ahead_out_of_the_bend_is_covered_too(config: RunConfig, bends: l
 
 def test_kerbs_are_half_a_width_from_the_line(config: RunConfig) -> None:
     road = road_with(config, bends=SHARP_S)
-    right, left = road.kerb_lines(-50.0, 50.0)
+    right, left = road.kerb_lines(road.sampled(-50.0, 50.0), torch.tensor(1.0))
     for kerb, d in ((right, -3.5), (left, 3.5)):
         offset = road.reference.project(*kerb.unbind(-1))[1]
         torch.testing.assert_close(offset, torch.full_like(offset, d), atol=1e-4, rtol=0)

@@ -10,10 +10,9 @@ from negopipe.agents.encounter import Encounter
 from negopipe.agents.route_following import (
     Hindrance,
     RouteFollowingConfig,
+    StopLines,
     nearest,
     nose_to_nose,
-    stop_line,
-    waiting_places,
 )
 from negopipe.schema import NonNegativeFloat, Real, schema
 from negopipe.simulation.perception import Perception
@@ -32,24 +31,24 @@ class Config(RouteFollowingConfig):
     margin_s: NonNegativeFloat
 
     def hindrance(self, simulator: Simulator) -> Callable[[Perception, Encounter], Hindrance]:
-        length_m, corridor_m = simulator.scenario.vehicle.length_m, simulator.road.config.corridor_length_m
-        places = waiting_places(simulator, self.stop_s_m)
+        length_m = simulator.scenario.vehicle.length_m
+        lines = StopLines(simulator, self.stop_s_m, self.gap_m)
 
         def hindered(perception: Perception, met: Encounter) -> Hindrance:
-            must_wait = self.must_wait(met, perception.desired_speed, corridor_m, length_m)
-            line = stop_line(met, must_wait, places, self.gap_m, perception.direction)
+            must_wait = self.must_wait(met, perception.desired_speed, length_m)
+            line = lines.hindrance(met, must_wait, perception.direction)
             return nearest(line, nose_to_nose(met, length_m))
 
         return hindered
 
-    def must_wait(self, met: Encounter, desired_speed: Tensor, corridor_m: float, length_m: float) -> Tensor:
-        """[E, S] bool: another vehicle could enter the corridor before the agent has left it."""
-        own_s = time_to(corridor_m + length_m / 2, met.own.s, (met.own.s_dot + desired_speed) / 2)
+    def must_wait(self, met: Encounter, desired_speed: Tensor, length_m: float) -> Tensor:
+        """[E, S] bool: another vehicle could enter the narrow place before the agent has left it."""
+        own_s = time_to(met.narrow_m + length_m / 2, met.own_s, (met.own.s_dot + desired_speed) / 2)
         other_s = time_to(-length_m / 2, met.other_s, met.other_speed)
         return (met.is_oncoming & (other_s < own_s[..., None] + self.margin_s)).any(-1)
 
 
-def time_to(s_m: float, now_m: Tensor, speed: Tensor) -> Tensor:
+def time_to(s_m: float | Tensor, now_m: Tensor, speed: Tensor) -> Tensor:
     """Travel time to a place at constant speed, s; 0 where the place is behind, `LONG_S` at most."""
     left = (s_m - now_m).clamp(min=0)
     return torch.where(left > 0, (left / speed.clamp(min=1e-3)).clamp(max=LONG_S), 0.0)

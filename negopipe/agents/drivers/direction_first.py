@@ -7,24 +7,21 @@ In 209 filmed encounters at a narrowing the driving direction decided more than 
 from collections.abc import Callable
 from typing import Literal
 
+import torch
 from torch import Tensor
 
 from negopipe.agents.encounter import Encounter
 from negopipe.agents.route_following import (
     Hindrance,
     RouteFollowingConfig,
+    StopLines,
     nearest,
     nose_to_nose,
-    stop_line,
-    waiting_places,
 )
 from negopipe.schema import Real, schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.simulator import Simulator
 from negopipe.simulation.state import AT_REST_MPS
-
-SIDE_OF_DIRECTION = {"right": 1.0, "left": -1.0}
-"""Side of the street on which a vehicle drives, seen along the line -> its direction; vehicles keep right."""
 
 
 @schema
@@ -36,21 +33,23 @@ class Config(RouteFollowingConfig):
     stop_s_m: Real
 
     def hindrance(self, simulator: Simulator) -> Callable[[Perception, Encounter], Hindrance]:
-        length_m, first = simulator.scenario.vehicle.length_m, self.first_direction(simulator.road.config.parked_sides)
-        places = waiting_places(simulator, self.stop_s_m)
+        road, length_m = simulator.road, simulator.scenario.vehicle.length_m
+        first = torch.tensor([self.first_way(cars) for cars in road.parked_on_line], device=road.device)
+        lines = StopLines(simulator, self.stop_s_m, self.gap_m)
 
         def hindered(perception: Perception, met: Encounter) -> Hindrance:
-            must_wait = (perception.direction != first) & _is_met(met, length_m)
-            line = stop_line(met, must_wait, places, self.gap_m, perception.direction)
+            must_wait = (road.sign(perception.direction) != road.pick(first, perception.direction)) & _is_met(
+                met, length_m
+            )
+            line = lines.hindrance(met, must_wait, perception.direction)
             return nearest(line, nose_to_nose(met, length_m))
 
         return hindered
 
-    def first_direction(self, parked_sides: str) -> float:
-        """The direction that goes first: +1 along the line, -1 against it."""
-        if self.first == "free_side" and parked_sides in SIDE_OF_DIRECTION:
-            return -SIDE_OF_DIRECTION[parked_sides]
-        return -1.0 if self.first == "against" else 1.0
+    def first_way(self, parked: list[tuple[float, float, float, float]]) -> float:
+        """The way that goes first on a street with cars at (sigma, d, ...): +1 along the line, -1 against it."""
+        is_left_free = all(d < 0 for _, d, *_ in parked)
+        return -1.0 if self.first == "against" or (self.first == "free_side" and is_left_free) else 1.0
 
 
 def _is_met(met: Encounter, length_m: float) -> Tensor:

@@ -33,7 +33,7 @@ class Config(HorizonRule):
 
         def by_distance(perception: Perception) -> Tensor:
             met = encounter(road, length_m, perception)
-            is_nearer = met.other_s >= met.own.s[..., None]  # at equal distances both wait
+            is_nearer = met.other_s >= met.own_s[..., None]  # at equal distances both wait
             must_wait = (met.is_oncoming & is_nearer).any(-1)
             return torch.where(must_wait, self.waiting_horizon_s, self.going_horizon_s)
 

@@ -143,7 +143,9 @@ class LevelK:
     def _progress(self, world: World) -> Tensor:
         """[E, V] m: s of each vehicle, at most that of its target."""
         road = self.game.simulator.road
-        return road.progress(world.vehicles.position, world.task.direction).clamp(max=road.target_s_m)
+        return road.progress(world.vehicles.position, world.task.direction).clamp(
+            max=road.target_s(world.task.direction)
+        )
 
     def _n_steps(self, time_s: float) -> int:
         return round(time_s / self.dt_s)
@@ -190,4 +192,10 @@ def _of_others(perception: Perception) -> VehicleState:
 
 def _directions(game: "Game", perception: Perception) -> Tensor:
     """[E, V]: driving directions of the ego and of the others, by their perceived headings."""
-    return torch.cat([perception.direction, game.simulator.road.direction_of(perception.other)[:, 0]], 1)
+    return torch.cat(
+        [
+            perception.direction,
+            game.simulator.road.direction_of(perception.other, perception.direction[..., None])[:, 0],
+        ],
+        1,
+    )

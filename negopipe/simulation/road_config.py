@@ -1,0 +1,216 @@
+"""Configuration of a road: the sizes of its street, or intervals from which the sizes of many streets are drawn."""
+
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal
+
+import torch
+from pydantic import AfterValidator, Field, model_validator
+
+from negopipe.errors import UserError
+from negopipe.schema import (
+    CountRange,
+    DistanceRange,
+    FractionRange,
+    NonNegativeMetres,
+    PositiveFloat,
+    PositiveInt,
+    RealRange,
+    Seed,
+    SizeRange,
+    schema,
+)
+from negopipe.simulation.reference_line import Bend, check_bends
+
+ParkedSides = Literal["both", "left", "right", "alternating"]
+
+N_TRIES = 1000
+"""Draws of a street until one fits."""
+
+
+def _is_a_turn(angle_deg: Any) -> Any:
+    for angle in angle_deg if isinstance(angle_deg, tuple) else (angle_deg,):
+        if not -180 < angle < 180:
+            raise ValueError(f"must be between -180 and 180, got {angle:g}")
+    return angle_deg
+
+
+@schema
+class BendConfig:
+    """A bend: the heading turns by `angle_deg` along the jerk-optimal step, so the curvature starts and ends at 0.
+
+    start_m: arc length from the corridor's middle at which the bend begins
+    length_m: arc length over which it turns
+    angle_deg: how far it turns, positive to the left; the sharpest curvature is 15/8 of angle / length
+    """
+
+    start_m: RealRange
+    length_m: SizeRange
+    angle_deg: Annotated[RealRange, AfterValidator(_is_a_turn)]
+
+
+@dataclass(frozen=True)
+class StreetConfig:
+    """Sizes of one street in metres; `conf/scenario/narrow_lane.yaml` says what each value means.
+
+    parked_seed: of the irregular places of the parked cars
+    """
+
+    bends: tuple[Bend, ...]
+    width_m: float
+    lane_offset_m: float
+    corridor_length_m: float
+    corridor_gap_m: float
+    n_corridors: int
+    between_corridors_m: float
+    parked_sides: ParkedSides
+    parked_car_length_m: float
+    parked_car_width_m: float
+    n_parked_per_side: int
+    parked_empty_share: float
+    parked_irregularity: float
+    swerve_length_m: float
+    swerve_margin_m: float
+    target_distance_m: float
+    parked_seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless everything fits into the street."""
+        needed = self.corridor_gap_m + (2 if self.parked_sides == "both" else 1) * self.parked_car_width_m
+        if needed > self.width_m + 1e-6:
+            raise ValueError(
+                f"corridor_gap_m {self.corridor_gap_m} and parked_car_width_m {self.parked_car_width_m} need a "
+                f"width_m of at least {needed:g} with parked_sides {self.parked_sides}, got {self.width_m}"
+            )
+        if self.n_parked_per_side * self.parked_car_length_m > self.corridor_length_m + 1e-6:
+            raise ValueError(
+                f"n_parked_per_side {self.n_parked_per_side} cars of {self.parked_car_length_m} m do not fit into "
+                f"corridor_length_m {self.corridor_length_m} by their parked_car_length_m"
+            )
+        if self.n_corridors > 1 and self.between_corridors_m < self.swerve_length_m + 2 * self.swerve_margin_m:
+            raise ValueError(
+                f"between_corridors_m must be at least swerve_length_m + 2 swerve_margin_m = "
+                f"{self.swerve_length_m + 2 * self.swerve_margin_m:g}, got {self.between_corridors_m}"
+            )
+        check_bends(self.bends, self.width_m)
+
+    @property
+    def is_closed_form(self) -> bool:
+        """Whether `OneStreet` can compute it: one corridor of evenly parked cars."""
+        return self.n_corridors == 1 and self.parked_empty_share == 0 and self.parked_irregularity == 0
+
+    @property
+    def corridors_m(self) -> list[tuple[float, float]]:
+        """First and last sigma of each corridor, ascending; all together have their middle at 0."""
+        step = self.corridor_length_m + self.between_corridors_m
+        first = -(self.corridor_length_m + (self.n_corridors - 1) * step) / 2
+        return [(first + i * step, first + i * step + self.corridor_length_m) for i in range(self.n_corridors)]
+
+    @property
+    def sides(self) -> list[tuple[int, ...]]:
+        """Sides of the cars parked at each corridor: +1 left of the line, -1 right of it."""
+        if self.parked_sides == "alternating":
+            return [(1,) if i % 2 == 0 else (-1,) for i in range(self.n_corridors)]
+        return [{"both": (-1, 1), "left": (1,), "right": (-1,)}[self.parked_sides]] * self.n_corridors
+
+    def gap_middle_m(self, sides: tuple[int, ...]) -> float:
+        """d (m) of the middle line between the cars parked on `sides`, or between them and the opposite kerb."""
+        return -sum(sides) * (self.width_m - self.corridor_gap_m) / 2
+
+    @property
+    def reach_m(self) -> float:
+        """Distance from the corridor's middle beyond which the street is straight and empty, m."""
+        ends = [abs(sigma) for bend in self.bends for sigma in (bend.start_m, bend.start_m + bend.length_m)]
+        return max([self.corridors_m[-1][1] + self.swerve_margin_m + self.swerve_length_m, *ends])
+
+
+@schema
+class StreetsConfig:
+    """Streets of a road whose sizes are intervals.
+
+    n_training: different streets in training
+    n_held_out: different streets in the evaluation; training sees none of them
+    seed: of all streets
+    clearance_m: room beside a vehicle that drives on its route; a street with less is drawn again
+    curvature_max_1pm: sharpest bend of a route; a street with a sharper one is drawn again
+    """
+
+    n_training: PositiveInt
+    n_held_out: PositiveInt
+    seed: Seed
+    clearance_m: NonNegativeMetres
+    curvature_max_1pm: PositiveFloat
+
+
+@schema
+class RoadConfig:
+    """Sizes of a road in metres, each a number or the interval that it is drawn from, for every street anew.
+
+    `conf/scenario/narrow_lane.yaml` says what each value means.
+    """
+
+    bends: tuple[BendConfig, ...]
+    width_m: SizeRange
+    lane_offset_m: SizeRange
+    corridor_length_m: SizeRange
+    corridor_gap_m: SizeRange
+    n_corridors: CountRange
+    between_corridors_m: DistanceRange
+    parked_sides: ParkedSides | Annotated[tuple[ParkedSides, ...], Field(min_length=1)]
+    parked_car_length_m: SizeRange
+    parked_car_width_m: SizeRange
+    n_parked_per_side: CountRange
+    parked_empty_share: FractionRange
+    parked_irregularity: FractionRange
+    swerve_length_m: SizeRange
+    swerve_margin_m: DistanceRange
+    target_distance_m: SizeRange
+
+    @model_validator(mode="after")
+    def _fits(self) -> "RoadConfig":
+        if not self.varies:
+            self._street(torch.Generator())
+        return self
+
+    @property
+    def varies(self) -> bool:
+        """Whether streets differ: an interval, several sides, or cars parked irregularly."""
+        values = [getattr(self, field.name) for field in fields(self) if field.name != "bends"]
+        values += [value for bend in self.bends for value in (bend.start_m, bend.length_m, bend.angle_deg)]
+        is_drawn = any(isinstance(value, tuple) for value in values)
+        return is_drawn or self.parked_empty_share != 0 or self.parked_irregularity != 0
+
+    @property
+    def street(self) -> StreetConfig:
+        """The only street of a road that does not vary."""
+        return self._street(torch.Generator())
+
+    def draw(self, n: int, generator: torch.Generator) -> list[StreetConfig]:
+        """`n` streets; what does not fit is drawn again. UserError where nothing fits."""
+        return [self._fitting(generator) for _ in range(n)]
+
+    def _fitting(self, generator: torch.Generator) -> StreetConfig:
+        reason: ValueError | None = None
+        for _ in range(N_TRIES):
+            try:
+                return self._street(generator)
+            except ValueError as error:
+                reason = error
+        raise UserError(f"scenario.road must leave streets that fit, none of {N_TRIES} drawn did: {reason}")
+
+    def _street(self, generator: torch.Generator) -> StreetConfig:
+        """One street; ValueError where something does not fit."""
+
+        def number(value: Any) -> Any:
+            if isinstance(value, tuple) and isinstance(value[0], str):
+                return value[int(torch.randint(len(value), (), generator=generator))]
+            if not isinstance(value, tuple):
+                return value
+            low, high = value
+            if isinstance(low, int) and isinstance(high, int):
+                return int(torch.randint(low, high + 1, (), generator=generator))
+            return low + (high - low) * float(torch.rand((), generator=generator, dtype=torch.float64))
+
+        drawn = {field.name: number(getattr(self, field.name)) for field in fields(self) if field.name != "bends"}
+        bends = tuple(Bend(*(number(getattr(bend, field.name)) for field in fields(bend))) for bend in self.bends)
+        seed = int(torch.randint(2**31, (), generator=generator)) if self.varies else 0
+        return StreetConfig(bends=bends, **drawn, parked_seed=seed)
