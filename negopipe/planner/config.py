@@ -73,6 +73,7 @@ class CostConfig:
 class PlannerConfig:
     """`conf/planner/frenet.yaml` says what each value means.
 
+    leader_horizon_s: null = vehicles in the same direction are predicted like any other
     give_way: null = an infinite prediction horizon is one of the whole plan
     reversing: null = nobody drives backwards
     """
@@ -80,6 +81,7 @@ class PlannerConfig:
     horizon_s: PositiveFloat
     longitudinal: LongitudinalConfig
     braking: BrakingConfig
+    leader_horizon_s: PositiveFloat | None
     give_way: GiveWayConfig | None
     reversing: ReversingConfig | None
     lateral: LateralConfig

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from negopipe.planner.braking import BrakingCandidates, BrakingSamples
 from negopipe.planner.config import ClearanceConfig, PlannerConfig
+from negopipe.planner.following import predicted_s
 from negopipe.planner.give_way import GiveWay
 from negopipe.planner.lateral import LateralCandidates, path_shape
 from negopipe.planner.lingering import Lingering
@@ -134,7 +135,10 @@ class FrenetPlanner:
         """State one step forwards along the best trajectory, and whether it is full braking; fields [N]."""
         paths = self._paths(route, direction, desired_speed)
         predicted = predict(self.config.prediction, self.road, other, direction, self.times)
-        is_considered = (self.times[:, None] <= horizon + self.dt_s / 2) & is_seen[:, None]  # [O, T, N]
+        seconds = horizon[None]  # [1 or O, N]
+        if self.config.leader_horizon_s is not None:
+            seconds = predicted_s(self.config.leader_horizon_s, self.road, route, direction, horizon, other)
+        is_considered = (self.times[:, None] <= seconds[:, None] + self.dt_s / 2) & is_seen[:, None]  # [O, T, N]
         depth, at = self._depth(route, direction, paths, predicted, other.speed.abs())
         blocked = [self._interval(depth - slack, at, is_considered) for slack in self._slacks_m]
         rule = self._rule(horizon, route, direction, other, is_seen)

@@ -7,7 +7,6 @@ d      offset from the line to its left, m
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -46,36 +45,18 @@ class Bend:
     angle_deg: float
 
 
-class ReferenceLine:
-    """A curve whose heading is a sum of smooth steps; every method takes any shape and keeps the dtype.
+class Course:
+    """Heading and curvature of a line whose heading is a sum of smooth steps; methods take any shape, keep the dtype.
 
     is_straight: the line is the world's x axis (known before anything is computed)
     """
 
-    def __init__(self, bends: Sequence[Bend], device: torch.device | str = "cpu") -> None:
+    def __init__(self, bends: Sequence[Bend]) -> None:
         turning = [bend for bend in bends if bend.angle_deg != 0]
         self.is_straight = not turning
         self._bends = [(bend.start_m, bend.length_m, math.radians(bend.angle_deg)) for bend in turning]
         self._heading_at_0 = 0.0
         self._heading_at_0 = float(self.heading(torch.zeros((), dtype=torch.float64)))
-        self._device = device
-
-    @cached_property
-    def _knots(self) -> Tensor:
-        """[2, K] float64, m, world: x, y at the knots; tabulated at first use."""
-        return self._tabulate().to(self._device)
-
-    @cached_property
-    def _searched(self) -> Tensor:
-        """[2, K / N_SEARCHED] float64, m, world."""
-        return self._knots[:, ::N_SEARCHED].contiguous()
-
-    @property
-    def bent_m(self) -> tuple[float, float]:
-        """First and last arc length (m) at which the line bends; it is straight outside. (0, 0) if it never does."""
-        starts = [start for start, _, _ in self._bends]
-        ends = [start + length for start, length, _ in self._bends]
-        return min(starts, default=0.0), max(ends, default=0.0)
 
     def heading(self, sigma: Tensor) -> Tensor:
         """[...] rad, world; not wrapped."""
@@ -92,6 +73,15 @@ class ReferenceLine:
             kappa = kappa + (angle / length) * first
             kappa_prime = kappa_prime + (angle / length**2) * second
         return kappa, kappa_prime
+
+
+class ReferenceLine(Course):
+    """A course with its positions, and projections onto it."""
+
+    def __init__(self, bends: Sequence[Bend], device: torch.device | str = "cpu") -> None:
+        super().__init__(bends)
+        self._knots = self._tabulate().to(device)  # [2, K] float64, m, world
+        self._searched = self._knots[:, ::N_SEARCHED].contiguous()
 
     def pose(self, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """x, y (m) and heading (rad) of the line at sigma [...], world frame."""
@@ -173,7 +163,7 @@ def check_bends(bends: Sequence[Bend], width_m: float) -> None:
         if bend.start_m < -REACH_M or end > REACH_M:
             place = f"{bend.start_m:g} to {end:g} by start_m and length_m"
             raise ValueError(f"bends must lie within {REACH_M:g} m from the corridor, got {place}")
-    line = ReferenceLine(bends)
+    line = Course(bends)
     steps = [torch.arange(-REACH_M, REACH_M, 0.1, dtype=torch.float64)]
     steps += [bend.start_m + bend.length_m * torch.linspace(0, 1, 101, dtype=torch.float64) for bend in bends]
     sigma = torch.cat(steps).sort().values  # no bend is so short that it lies between two of them

@@ -7,7 +7,7 @@ import torch
 
 from negopipe.simulation.geometry import smoothstep
 from negopipe.simulation.one_street import park
-from negopipe.simulation.reference_line import ReferenceLine, knots
+from negopipe.simulation.reference_line import Course, knots
 from negopipe.simulation.road_config import StreetConfig
 
 Array = np.ndarray
@@ -48,7 +48,7 @@ class Street:
     @staticmethod
     def of(config: StreetConfig, reach_m: float) -> "Street":
         """The street of a config, with knots up to `reach_m` from the corridor's middle."""
-        line, sigma = ReferenceLine(config.bends), torch.from_numpy(knots(reach_m))
+        line, sigma = Course(config.bends), torch.from_numpy(knots(reach_m))
         return Street(
             curvature=torch.stack(line.curvature(sigma), -1).numpy(),
             kerbs=np.full((2, len(sigma)), config.width_m / 2),

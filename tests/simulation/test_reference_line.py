@@ -45,7 +45,6 @@ def test_a_quarter_turn_by_hand() -> None:
     # symmetric about 0: seen from the middle the legs point 45 deg down and up, at equal distance
     length = 40.0
     line = ReferenceLine([Bend(-length / 2, length, 90.0)])
-    assert line.bent_m == (-length / 2, length / 2)
     x, y, heading = line.pose(torch.tensor([-60.0, -20.0, 20.0, 60.0], dtype=torch.float64))
     assert heading.tolist() == pytest.approx([-math.pi / 4] * 2 + [math.pi / 4] * 2)
     assert (x + x.flip(0)).tolist() == pytest.approx([0.0] * 4, abs=1e-9)

@@ -222,9 +222,10 @@ def test_both_directions_see_a_mirrored_road(config: RunConfig) -> None:
 
 def test_parked_cars_stand_along_the_bend(config: RunConfig) -> None:
     road = road_with(config, bends=LEFT_BEND)
-    sigma, d, length, width = road.parked_on_line.unbind(-1)
+    parked = torch.tensor(road.parked_on_line[0])
+    sigma, d, length, width = parked.unbind(-1)
     straight = OneStreet(config.scenario.road.street)
-    torch.testing.assert_close(torch.tensor(road.parked_on_line[0]), straight.parked_cars[:, [0, 1, 3, 4]])
+    torch.testing.assert_close(parked, straight.parked_cars[:, [0, 1, 3, 4]])
     x, y, yaw, _, _ = road.parked_cars.unbind(-1)
     torch.testing.assert_close(torch.stack(road.reference.project(x, y)), torch.stack([sigma, d]), atol=1e-5, rtol=0)
     torch.testing.assert_close(yaw, road.reference.heading(sigma))
