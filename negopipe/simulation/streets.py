@@ -13,6 +13,7 @@ from negopipe.simulation.reference_line import KNOT_M
 from negopipe.simulation.road import Line, Road
 from negopipe.simulation.street import Street
 from negopipe.simulation.street_tables import BoundLine, LineTable, Polynomials, lines, quintics
+from negopipe.tensors.materialize import materialize
 
 FAR_M = 1e4
 """Coordinate of boxes that fill up the tables of streets with fewer of them, m."""
@@ -94,7 +95,8 @@ class Streets(Road):
         value = a + x * (b + x * (c + x * (d + x * (e + x * f))))
         first = b + x * (2 * c + x * (3 * d + x * (4 * e + x * (5 * f))))
         second = 2 * c + x * (6 * d + x * (12 * e + x * (20 * f)))
-        return sign * value, first, sign * second
+        d, d_prime, d_pprime = materialize(sign * value, first, sign * second)  # or every reader would look them up
+        return d, d_prime, d_pprime
 
     def kerb_excess(self, s: Tensor, direction: Tensor, d: Tensor, reach: Tensor, sagitta: Tensor | float) -> Tensor:
         if self._has_even_kerbs:
