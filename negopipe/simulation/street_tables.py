@@ -73,23 +73,31 @@ class BoundLine:
 
     def pose(self, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """x, y (m) and heading (rad) of the line at sigma [...], world frame."""
+        return self._at(sigma)[:3]
+
+    def _at(self, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """x, y (m), heading (rad) and curvature (1/m) at sigma [...]."""
         (x, y, heading, *curvature), ahead = self._table._pose.at(self._street, sigma)
         dx, dy = torch.zeros_like(x), torch.zeros_like(x)
         for node, weight in GAUSS:
             between = heading + _turned(curvature, node * ahead)
             dx, dy = dx + weight * torch.cos(between), dy + weight * torch.sin(between)
-        return x + ahead * dx, y + ahead * dy, heading + _turned(curvature, ahead)
+        a, b, c, d = curvature
+        kappa = a + ahead * (b + ahead * (c + ahead * d))
+        return x + ahead * dx, y + ahead * dy, heading + _turned(curvature, ahead), kappa
 
     def place(self, sigma: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
         x, y, heading = self.pose(sigma)
         return x - d * torch.sin(heading), y + d * torch.cos(heading)
 
     def project(self, x: Tensor, y: Tensor, near: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        x, y = materialize(x, y)
         sigma = self._nearest_knot(x, y) if near is None else near.expand_as(x)
         for _ in range(N_NEWTON):
-            ahead, d = self._in_line_frame(sigma, x, y)
-            sigma = sigma + ahead / (1 - self.curvature(sigma)[0] * d).clamp(min=0.2)
-        return sigma, self._in_line_frame(sigma, x, y)[1]
+            ahead, d, kappa = self._in_line_frame(sigma, x, y)
+            (sigma,) = materialize(sigma + ahead / (1 - kappa * d).clamp(min=0.2))
+        sigma, d = materialize(sigma, self._in_line_frame(sigma, x, y)[1])
+        return sigma, d
 
     def _nearest_knot(self, x: Tensor, y: Tensor) -> Tensor:
         """[...] m: sigma of the searched knot that is nearest to a position."""
@@ -97,11 +105,12 @@ class BoundLine:
         nearest = ((x[..., None] - knot_x) ** 2 + (y[..., None] - knot_y) ** 2).argmin(-1)
         return nearest.to(x.dtype) * (N_SEARCHED * KNOT_M) + self._table._first_m
 
-    def _in_line_frame(self, sigma: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        line_x, line_y, heading = self.pose(sigma)
+    def _in_line_frame(self, sigma: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Coordinates ahead and to the left [...] (m) in the frame of the line's pose at sigma, and its curvature."""
+        line_x, line_y, heading, kappa = self._at(sigma)
         cos, sin = torch.cos(heading), torch.sin(heading)
         dx, dy = x - line_x, y - line_y
-        return dx * cos + dy * sin, dy * cos - dx * sin
+        return dx * cos + dy * sin, dy * cos - dx * sin, kappa
 
 
 def quintics(values: Array) -> Array:
