@@ -25,9 +25,10 @@ class Piece:
     """Stretch of road for both directions, seen in one of them.
 
     key     name of the piece in this direction; twin: that of the same stretch in the other one
-    ids     the file's lanelets in it
+    ids     the file's lanelets in it, the one in the direction of the piece first
     left    [N, 2] and right [M, 2]: kerbs, both in the direction of the piece
     next    keys of the pieces that may follow
+    is_backward     whether the piece is one lanelet seen against its own direction
     """
 
     key: Hashable
@@ -36,6 +37,7 @@ class Piece:
     left: Array
     right: Array
     next: tuple[Hashable, ...]
+    is_backward: bool
 
     @property
     def middle(self) -> Array:
@@ -72,13 +74,22 @@ def _few(ids: set[int]) -> str:
 
 
 def _in_order_of(chain: list[Piece], pieces: Mapping[Hashable, Piece], ids: Sequence[int]) -> list[Piece]:
-    """The chain in the direction that meets the first named lanelet, or the smaller of its end lanelets, first."""
-    first, last = min(chain[0].ids), min(chain[-1].ids)
-    places = [next((n for n, piece in enumerate(chain) if i in piece.ids), 0) for i in ids]
-    backwards = places[0] > places[-1] if len(set(places)) > 1 else last < first
-    if not backwards or any(piece.twin not in pieces for piece in chain):
-        return chain
-    return [pieces[piece.twin] for piece in reversed(chain)]
+    """The chain in the direction that meets the first named lanelet first, a single piece along that lanelet.
+
+    Where none is named, in the direction whose first lanelet has the smaller id.
+    """
+    ways = [chain]
+    if all(piece.twin in pieces for piece in chain):
+        ways.append([pieces[piece.twin] for piece in reversed(chain)])
+
+    def order(way: list[Piece]) -> tuple[int, bool]:
+        lanelets = [piece.ids[0] for piece in way]
+        if not ids:
+            return lanelets[0], way[0].is_backward
+        place = next(n for n, piece in enumerate(way) if ids[0] in piece.ids)
+        return place, lanelets[place] != ids[0] or way[place].is_backward
+
+    return min(ways, key=order)
 
 
 def _end_direction(middle: Array, at_end: bool) -> Array:

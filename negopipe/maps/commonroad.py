@@ -47,7 +47,7 @@ def read_commonroad(path: Path, ids: Sequence[int], parking: Parking, rows: Sequ
 
     path        the scenario, XML 2018b or 2020a
     ids         lanelets of the street, in any order, one of each opposing pair is enough; none: the longest street.
-                It runs from the first to the last one
+                It runs from the first named one on, a single one along it
     parking     how the rows are filled
     rows        parked vehicles along its kerbs: published scenarios have none beside two-way streets
 
@@ -127,13 +127,13 @@ def _pieces(lanelets: dict[int, _Lanelet]) -> dict[Hashable, Piece]:
         if lane.is_two_way:
             behind = tuple((i, -1) for i in lane.predecessors)
             forth, back = (lane.id, 1), (lane.id, -1)
-            pieces[forth] = Piece(forth, back, (lane.id,), lane.left, lane.right, ahead)
-            pieces[back] = Piece(back, forth, (lane.id,), lane.right[::-1], lane.left[::-1], behind)
+            pieces[forth] = Piece(forth, back, (lane.id,), lane.left, lane.right, ahead, False)
+            pieces[back] = Piece(back, forth, (lane.id,), lane.right[::-1], lane.left[::-1], behind, True)
         elif lane.opposing in lanelets:
             other = lanelets[lane.opposing]
             left = other.right[::-1] if lane.is_left else lane.left
             right = lane.right if lane.is_left else other.left[::-1]
-            pieces[lane.id, 1] = Piece((lane.id, 1), (other.id, 1), (lane.id, other.id), left, right, ahead)
+            pieces[lane.id, 1] = Piece((lane.id, 1), (other.id, 1), (lane.id, other.id), left, right, ahead, False)
     return pieces
 
 

@@ -23,6 +23,10 @@ ORIGIN_DEG = 0.01
 """Grid to which the map's middle is rounded for the projection's origin: parts of a map keep its coordinates."""
 
 
+_Key = tuple[int, int, int]
+"""Lanelet, its opposing one or itself, and 0 for a pair, 1 or -1 for a lanelet of both directions ahead or back."""
+
+
 @dataclass(frozen=True)
 class _Border:
     """Border of a lanelet in one direction: its way, whether that is turned around, its nodes."""
@@ -84,7 +88,8 @@ def read_lanelet2(path: Path, ids: Sequence[int], parking: Parking, rows: Sequen
 
     path        the map; its nodes have tags local_x and local_y, m, or else are projected from latitude and longitude
                 (transverse Mercator, WGS84, the central meridian through the map, true scale there)
-    ids         lanelets of the street, in any order; none: the longest street. It runs from the first to the last one
+    ids         lanelets of the street, in any order; none: the longest street. It runs from the first named one on, a
+                single one along it
     parking     how its parking areas are filled
     rows        further parked vehicles along its kerbs
 
@@ -153,13 +158,13 @@ def _aligned(osm: _Map, left: _Border, right: _Border) -> tuple[_Border, _Border
 
 def _pieces(osm: _Map, lanelets: list[_Lanelet]) -> dict[Hashable, Piece]:
     """Stretches that both directions use, in both directions, with their successors."""
-    kerbs: dict[Hashable, tuple[tuple[int, ...], _Border, _Border]] = {}
+    kerbs: dict[_Key, tuple[tuple[int, ...], _Border, _Border]] = {}
     for lane in lanelets:
         if lane.is_two_way:
-            kerbs[(lane.id, 1)] = ((lane.id,), lane.left, lane.right)
-            kerbs[(lane.id, -1)] = ((lane.id,), lane.right.turned(), lane.left.turned())
+            kerbs[lane.id, lane.id, 1] = ((lane.id,), lane.left, lane.right)
+            kerbs[lane.id, lane.id, -1] = ((lane.id,), lane.right.turned(), lane.left.turned())
     kerbs |= _opposing([lane for lane in lanelets if not lane.is_two_way])
-    starting: defaultdict[tuple[int, int], list[Hashable]] = defaultdict(list)
+    starting: defaultdict[tuple[int, int], list[_Key]] = defaultdict(list)
     for key, (_, left, right) in kerbs.items():
         starting[left.nodes[0], right.nodes[0]].append(key)
     return {
@@ -170,29 +175,29 @@ def _pieces(osm: _Map, lanelets: list[_Lanelet]) -> dict[Hashable, Piece]:
             left=osm.line(left.nodes),
             right=osm.line(right.nodes),
             next=tuple(n for n in starting[left.nodes[-1], right.nodes[-1]] if n != _twin(key)),
+            is_backward=key[-1] == -1,
         )
         for key, (ids, left, right) in kerbs.items()
     }
 
 
-def _twin(key: Hashable) -> Hashable:
-    assert isinstance(key, tuple)
-    return (*key[:-1], -key[-1]) if len(key) == 2 else (key[1], key[0], key[2])
+def _twin(key: _Key) -> _Key:
+    return (key[1], key[0], 0) if key[2] == 0 else (key[0], key[1], -key[2])
 
 
-def _opposing(lanelets: list[_Lanelet]) -> dict[Hashable, tuple[tuple[int, ...], _Border, _Border]]:
+def _opposing(lanelets: list[_Lanelet]) -> dict[_Key, tuple[tuple[int, ...], _Border, _Border]]:
     """Pairs of one-way lanelets with opposite directions that share a border, seen along each of the two."""
     by_left, by_right = ({border(lane): lane for lane in lanelets} for border in (_left, _right))
-    found: dict[Hashable, tuple[tuple[int, ...], _Border, _Border]] = {}
+    found: dict[_Key, tuple[tuple[int, ...], _Border, _Border]] = {}
     for lane in lanelets:
         drives_right = by_left.get((lane.left.way, lane.left.nodes[::-1]))
         drives_left = by_right.get((lane.right.way, lane.right.nodes[::-1]))
         if drives_right is not None:
             kerbs = (drives_right.right.turned(), lane.right)
-            found[(lane.id, drives_right.id, "pair")] = ((lane.id, drives_right.id), *kerbs)
+            found[lane.id, drives_right.id, 0] = ((lane.id, drives_right.id), *kerbs)
         elif drives_left is not None:
             kerbs = (lane.left, drives_left.left.turned())
-            found[(lane.id, drives_left.id, "pair")] = ((lane.id, drives_left.id), *kerbs)
+            found[lane.id, drives_left.id, 0] = ((lane.id, drives_left.id), *kerbs)
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from negopipe.maps.street import STEP_M, Array, normals
 
-KNOT_M = 2.0
+KNOT_M = 4.0
 """Distance of the knots of the curvature along the line."""
 SMOOTH_M = 15.0
 """Wavelength of the middle's wiggles below which the line smooths them away."""
@@ -19,7 +19,9 @@ GAUSS_NEWTON_STEPS = 20
 """Upper bound on the steps of one fit; real streets settle in about six."""
 REFITS = 3
 """Times that the line is fitted to the middle between the kerbs as seen along the normals of the line before."""
-SETTLED = 1e-7
+END_MARGIN_M = 0.05
+"""Length by which kerbs are extended at the street's ends, so that ends square to the line keep their points."""
+SETTLED = 1e-6
 """Change of pose (m, rad) and curvature (1/m) below which a fit has settled."""
 GAUSS = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
 GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18
@@ -173,6 +175,15 @@ def kerb_distances(line: Line, left: Array, right: Array) -> tuple[Array, Array]
     return nearest[0], nearest[1]
 
 
+def _longer(polyline: Array) -> Array:
+    """Polyline extended at both ends by `END_MARGIN_M`."""
+    before, after = polyline[0] - polyline[1], polyline[-1] - polyline[-2]
+    ends = [
+        end + END_MARGIN_M * step / np.linalg.norm(step) for end, step in ((polyline[0], before), (polyline[-1], after))
+    ]
+    return np.concatenate([ends[:1], polyline, ends[1:]])
+
+
 def between_both(left_m: Array, right_m: Array) -> slice:
     """Points from the first to the last whose normal meets both kerbs."""
     both = np.flatnonzero(np.isfinite(left_m) & np.isfinite(right_m))
@@ -184,7 +195,7 @@ def middle_line(lefts: list[Array], rights: list[Array]) -> tuple[Line, Array, A
 
     The distances are infinite where one kerb is missing inside the street.
     """
-    left, right = without_repeats(np.concatenate(lefts)), without_repeats(np.concatenate(rights))
+    left, right = (_longer(without_repeats(np.concatenate(kerb))) for kerb in (lefts, rights))
     line = fit(rough_middle(lefts, rights))
     for _ in range(REFITS):
         left_m, right_m = kerb_distances(line, left, right)

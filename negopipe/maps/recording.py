@@ -52,7 +52,9 @@ def write_commonroad(
     dt_s            time from one step to the next
     benchmark_id    e.g. ZAM_Karlsruhe-1_1_T-1: country (ZAM for none), map, its number, configuration, T, number
 
-    The street's line is the bound between the lanelets; its kerbs are the outer ones.
+    The street's line is the bound between the lanelets; its kerbs are the outer ones. The first trajectory is the
+    ego's: a planning problem leads from its first to its last place. CommonRoad's schema wants trajectories that begin
+    at step 0; its reader takes any.
     """
     if not BENCHMARK_ID.fullmatch(benchmark_id):
         raise UserError(f"benchmark_id is {abbreviate(benchmark_id)!r}; a name like ZAM_Street-1_1_T-1 is allowed")
@@ -74,6 +76,8 @@ def write_commonroad(
     _add_parked(root, street)
     for index, trajectory in enumerate(trajectories):
         _add_trajectory(root, FIRST_VEHICLE + len(street.parked) + index, trajectory)
+    if trajectories:
+        _add_planning_problem(root, FIRST_VEHICLE + len(street.parked) + len(trajectories), trajectories[0])
     ElementTree.indent(root)
     ElementTree.ElementTree(root).write(path, encoding="UTF-8", xml_declaration=True)
 
@@ -158,6 +162,30 @@ def _add_trajectory(root: ElementTree.Element, name: int, drive: Trajectory) -> 
         step, heading = drive.first_step + index, _wrapped(drive.heading[index])
         _add_state(parent, tag, drive.position[index], heading, step, float(drive.speed[index]))
     obstacle.append(trajectory)
+
+
+def _add_planning_problem(root: ElementTree.Element, name: int, drive: Trajectory) -> None:
+    """Problem of the drive's vehicle: from its first state into a box around its last place by its last time."""
+    problem = ElementTree.SubElement(root, "planningProblem", id=str(name))
+    heading = _wrapped(drive.heading[0])
+    _add_state(problem, "initialState", drive.position[0], heading, 0, float(drive.speed[0]))
+    for unknown in ("yawRate", "slipAngle"):
+        _add_exact(problem[0], unknown, _text(0.0))
+    goal = ElementTree.SubElement(problem, "goalState")
+    position = ElementTree.SubElement(goal, "position")
+    rectangle = ElementTree.SubElement(position, "rectangle")
+    for key, value in (
+        ("length", drive.length_m),
+        ("width", drive.width_m),
+        ("orientation", _wrapped(drive.heading[-1])),
+    ):
+        ElementTree.SubElement(rectangle, key).text = _text(value)
+    centre = ElementTree.SubElement(rectangle, "center")
+    for axis, value in zip("xy", drive.position[-1], strict=True):
+        ElementTree.SubElement(centre, axis).text = _text(value)
+    time = ElementTree.SubElement(goal, "time")
+    ElementTree.SubElement(time, "intervalStart").text = "1"
+    ElementTree.SubElement(time, "intervalEnd").text = str(drive.first_step + len(drive.position) - 1)
 
 
 def _wrapped(angle: float) -> float:

@@ -27,7 +27,7 @@ def number(path: Path, text: str | None, what: str) -> float:
             return value
     except ValueError:
         pass
-    raise UserError(f"{path}: {what} is {abbreviate(text or '')!r}; a finite number is allowed")
+    raise UserError(f"{path}: {what} is {_shown(text)}; a finite number is allowed")
 
 
 def whole_number(path: Path, text: str | None, what: str) -> int:
@@ -35,7 +35,11 @@ def whole_number(path: Path, text: str | None, what: str) -> int:
     try:
         return int(text or "")
     except ValueError:
-        raise UserError(f"{path}: {what} is {abbreviate(text or '')!r}; a whole number is allowed") from None
+        raise UserError(f"{path}: {what} is {_shown(text)}; a whole number is allowed") from None
+
+
+def _shown(text: str | None) -> str:
+    return repr(abbreviate(text)) if text else "missing"
 
 
 def first_line_beside(path: Path, name: str) -> str:
