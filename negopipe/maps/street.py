@@ -58,16 +58,24 @@ def normals(heading: Array) -> Array:
 
 
 def to_plane(street: MapStreet, sigma: Array, d: Array) -> tuple[Array, Array]:
-    """Positions [N, 2] and headings [N] of the line's frame at arc lengths `sigma` and offsets `d` to the left, [N]."""
-    heading = np.interp(sigma, street.sigma, street.heading)
-    on_line = np.stack([np.interp(sigma, street.sigma, street.points[:, axis]) for axis in (0, 1)], axis=-1)
+    """Positions [N, 2] and headings [N] of the line's frame at arc lengths `sigma` and offsets `d` to the left, [N].
+
+    The line is taken as an arc around the nearest point, and continues as one before its first and behind its last.
+    """
+    nearest = np.clip(np.rint(sigma / STEP_M), 0, len(street.points) - 1).astype(np.int64)
+    along = sigma - STEP_M * nearest
+    turn = street.curvature[nearest] * along
+    chord = street.heading[nearest] + turn / 2
+    direction = np.stack([np.cos(chord), np.sin(chord)], axis=-1)
+    on_line = street.points[nearest] + (along * np.sinc(turn / (2 * np.pi)))[:, None] * direction
+    heading = street.heading[nearest] + turn
     return on_line + d[:, None] * normals(heading), heading
 
 
 def to_line(street: MapStreet, positions: Array) -> tuple[Array, Array]:
     """Arc lengths and offsets to the left, [N] each, of the nearest place on the line to positions [N, 2].
 
-    A position before the first or behind the last point has the arc length that the line's straight extension gives it.
+    The line is taken as an arc around the nearest point, and continues as one before its first and behind its last.
     """
     distances = np.linalg.norm(positions[:, None] - street.points, axis=-1)
     nearest = distances.argmin(axis=1)

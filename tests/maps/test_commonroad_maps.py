@@ -97,6 +97,17 @@ def test_rows_park_vehicles_where_the_file_has_none(tmp_path: Path) -> None:
     assert (left + right).min() == pytest.approx(2 * HALF_M - 0.2 - street.parked[:, 4].max(), abs=0.1)
 
 
+def test_a_row_leaves_out_the_places_of_obstacles(tmp_path: Path) -> None:
+    root = commonroad_map()
+    row = (KerbsideRow(Side.RIGHT, 30.0, 70.0, 0.2),)
+    alone = read(written(root, tmp_path / "row.xml"), rows=row).parked
+    add_obstacle(root, kerb(np.array([48.0]), -1, HALF_M - 1)[0], 0.0, "<circle><radius>0.8</radius></circle>")
+    street = read(written(root, tmp_path / "both.xml"), rows=row)
+    assert_is_sound(street)
+    assert len(alone) - 2 <= len(street.parked) - 1 < len(alone)
+    assert (street.parked[:, 3].round(6) == 1.6).sum() == 1
+
+
 def error_of(path: Path, *ids: int, rows: tuple[KerbsideRow, ...] = ()) -> str:
     """The one line of the error, which names the file."""
     with pytest.raises(UserError) as caught:

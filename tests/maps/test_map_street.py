@@ -39,8 +39,8 @@ def test_plane_and_line_are_inverse(street: MapStreet) -> None:
     random = np.random.default_rng(0)
     sigma, d = random.uniform(1, street.length_m - 1, 500), random.uniform(-5, 5, 500)
     again = to_line(street, to_plane(street, sigma, d)[0])
-    assert np.abs(again[0] - sigma).max() < 2e-3
-    assert np.abs(again[1] - d).max() < 2e-3
+    assert np.abs(again[0] - sigma).max() < 1e-3
+    assert np.abs(again[1] - d).max() < 1e-3
 
 
 def test_an_integrated_arc_is_a_circle() -> None:

@@ -11,7 +11,8 @@ from map_measures import Array, assert_is_sound, distance_to, kerbs
 from negopipe.errors import UserError
 from negopipe.maps import KerbsideRow, MapStreet, Side, free_sides, read_commonroad, read_lanelet2
 from negopipe.maps.boxes import corners_of_parked
-from negopipe.maps.street import to_line
+from negopipe.maps.projection import project
+from negopipe.maps.street import to_line, to_plane
 
 KARLSRUHE = "karlsruhe/mapping_example.osm"
 STARNBERG = "starnberg/DEU_Starnberg-1_1_T-1.xml"
@@ -91,24 +92,31 @@ def test_kerbs_agree_with_the_lanelets_bounds(
         assert distance_to(kerb, bound[within]).max() < 0.05
 
 
-def test_karlsruhes_kerbs_agree_with_its_lanelets(karlsruhe: MapStreet) -> None:
-    """Every point of the kerbs lies on a border of a two-way lanelet, by borders straight from the file."""
+def karlsruhes_borders() -> list[Array]:
+    """Borders of Karlsruhe's two-way lanelets, straight from the file, projected."""
     root = ElementTree.parse(published(KARLSRUHE)).getroot()
-    nodes = {n.get("id"): (float(n.get("lat") or ""), float(n.get("lon") or "")) for n in root.findall("node")}
-    ways = {w.get("id"): [nodes[nd.get("ref")] for nd in w.findall("nd")] for w in root.findall("way")}
+    degrees = np.array([[float(n.get("lat") or ""), float(n.get("lon") or "")] for n in root.findall("node")])
+    latitude, longitude = np.round(np.median(degrees, axis=0), 2)
+    places = project(*degrees.T, (float(latitude), float(longitude)))
+    nodes = dict(zip([n.get("id") for n in root.findall("node")], places, strict=True))
+    ways = {w.get("id"): np.array([nodes[nd.get("ref")] for nd in w.findall("nd")]) for w in root.findall("way")}
     borders = []
     for relation in root.findall("relation"):
         tags = {t.get("k"): t.get("v") for t in relation.findall("tag")}
-        if tags.get("type") == "lanelet" and tags.get("one_way") == "no" and tags.get("subtype") == "road":
-            borders += [np.array(ways[m.get("ref")]) for m in relation.findall("member") if m.get("type") == "way"]
-    middle = np.round(np.median(list(nodes.values()), axis=0), 2)
-    radius = np.array([6367449.0, 6378137.0 * np.cos(np.radians(middle[0]))])
-    near = [(np.radians(border - middle) * radius)[:, ::-1] for border in borders]
-    offsets = [
-        min(distance_to(border, point[None])[0] for border in near) for k in kerbs(karlsruhe) for point in k[::8]
-    ]
-    # the plane of degrees used here differs from the projection by its scale: 0.3 % of the distance from the origin
-    assert max(offsets) < 0.05 + 0.005 * np.abs(karlsruhe.points).max()
+        if (tags.get("type"), tags.get("subtype"), tags.get("one_way")) == ("lanelet", "road", "no"):
+            borders += [ways[member.get("ref")] for member in relation.findall("member")]
+    return borders
+
+
+def test_karlsruhes_kerbs_agree_with_its_lanelets(karlsruhe: MapStreet) -> None:
+    borders = karlsruhes_borders()
+    for kerb in kerbs(karlsruhe):
+        assert np.min([distance_to(border, kerb) for border in borders], axis=0).max() < 0.05
+    vertices = np.concatenate(borders)
+    sigma, d = to_line(karlsruhe, vertices)
+    beside = vertices[(sigma > 5) & (sigma < 130) & (np.abs(d) < 6)]  # roads cross before and come in behind
+    assert len(beside) > 50
+    assert np.min([distance_to(kerb, beside) for kerb in kerbs(karlsruhe)], axis=0).max() < 0.05
 
 
 def test_starnberg_whole_is_longer_and_has_tight_bends() -> None:
@@ -116,6 +124,11 @@ def test_starnberg_whole_is_longer_and_has_tight_bends() -> None:
     assert_is_sound(street)
     assert 285 < street.length_m < 300
     assert 0.1 < np.abs(street.curvature).max() < 0.2
+    random = np.random.default_rng(0)
+    sigma, d = random.uniform(0, street.length_m, 2000), random.uniform(-3, 3, 2000)
+    again = to_line(street, to_plane(street, sigma, d)[0])
+    assert np.abs(again[0] - sigma).max() < 1e-3
+    assert np.abs(again[1] - d).max() < 1e-3
 
 
 def test_over_has_one_vehicle_that_stands_on_the_road() -> None:
