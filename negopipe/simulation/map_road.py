@@ -48,12 +48,12 @@ def build_map_road(config: MapConfig, rules: MapRules, device: torch.device) -> 
 
     UserError: no such map or street, or a route without room or with too sharp a bend.
     """
-    return Streets([street_of_map(drivable_part(config, rules), rules, Path(config.file))], device)
+    path = Path(config.file)
+    return Streets([street_of_map(drivable_part(read_map(config), rules, path), rules, path)], device)
 
 
-def drivable_part(config: MapConfig, rules: MapRules) -> MapStreet:
+def drivable_part(street: MapStreet, rules: MapRules, path: Path) -> MapStreet:
     """The map's street without its ends beyond places where nobody could drive."""
-    street, path = read_map(config), Path(config.file)
     begin_m = 0.0  # of the part, on the map
     for _ in range(N_CUTS):
         narrow = narrow_places(street, rules, path)

@@ -20,7 +20,7 @@ from negopipe.errors import UserError
 
 ROOT = Path(__file__).parents[2]
 OF_A_MAP = {"lanelet2", "commonroad"}
-"""Scenarios that need a file, see tests/simulation/test_map_street.py."""
+"""Scenarios that need a file, see tests/simulation/test_map_road.py."""
 OPTIONS = sorted(
     path.relative_to(CONF).with_suffix("") for path in CONF.glob("*/**/*.yaml") if path.stem not in OF_A_MAP
 )

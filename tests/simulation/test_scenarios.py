@@ -15,7 +15,7 @@ from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, VehicleState
 
 OF_A_MAP = {"lanelet2", "commonroad"}
-"""Scenarios that need a file, see test_map_street."""
+"""Scenarios that need a file, see test_map_road."""
 
 NAMES = sorted({path.stem for path in (CONF / "scenario").glob("*.yaml")} - OF_A_MAP)
 

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 HALF_M = 3.0
 """Distance of the kerbs from the middle of the drawn street."""
 PARKING = Parking(fill=1.0, seed=3, length_m=(3.9, 4.9), width_m=(1.7, 1.9), gap_m=(0.6, 1.2))
-BESIDE = Path(__file__).parents[3] / "shared" / "maps"
+BESIDE = Path(__file__).parents[2] / "shared" / "maps"
 """Published maps in folders beside the checkout; they are not part of the repository."""
 
 
