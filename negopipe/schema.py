@@ -74,7 +74,10 @@ def _or_interval(number: Any) -> Any:
             return tuple(two.validate_python(list(value), strict=True))
         return one.validate_python(value, strict=True)
 
-    return Annotated[number | tuple[number, number], PlainValidator(validate)]
+    def plain(value: Any) -> Any:
+        return list(value) if isinstance(value, tuple) else value
+
+    return Annotated[Any, PlainValidator(validate), PlainSerializer(plain)]
 
 
 PositiveMetres = PositiveFloat

@@ -13,7 +13,7 @@ from negopipe.envs.gymnasium import compose_config
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import build_game, has_compiler
 from negopipe.game.reward import RewardConfig
-from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
+from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.simulator import Simulator
 from negopipe.simulation.state import EGO, World
@@ -24,7 +24,15 @@ N_STEPS = -(-N_DECISIONS // N_WORLDS)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [(), ("population=mixed", "planner=reversing", "policy=cnn_inf")])
+@pytest.mark.parametrize(
+    "options",
+    [
+        (),
+        ("population=mixed", "planner=reversing", "policy=cnn_inf"),
+        ("scenario=random_streets", "curriculum=streets", "population=mixed", "planner=reversing", "policy=cnn_inf"),
+    ],
+    ids=["default", "mixed", "streets"],
+)
 def test_the_world_stays_sound(options: tuple[str, ...]) -> None:
     config = compose_config(options)
     families = config.scenario.families
@@ -66,19 +74,14 @@ def is_finite(world: World) -> bool:
 
 
 def touches(simulator: Simulator, world: World) -> Tensor:
-    """[E] bool: footprints overlap one another, a parked car or the kerb of this straight road."""
-    size, road = simulator.scenario.vehicle, simulator.road
+    """[E] bool: footprints overlap one another, a parked car or a kerb by more than a rounding."""
+    size, road, direction = simulator.scenario.vehicle, simulator.road, world.task.direction
     x, y = world.vehicles.position.unbind(-1)
-    boxes = boxes_from_pose(x, y, world.vehicles.yaw, size.length_m, size.width_m)
-    half_length, half_width = size.length_m / 2, size.width_m / 2
-    reach = half_length * boxes.sin.abs() + half_width * boxes.cos.abs()
-    is_beyond = (y.abs() + reach > road.config.width_m / 2 + 1e-4).any(-1)
-    ego, social = (
-        boxes_from_pose(x[:, i], y[:, i], world.vehicles.yaw[:, i], 2 * half_length, 2 * half_width) for i in (0, 1)
-    )
-    columns = boxes_from_pose(x[..., None], y[..., None], world.vehicles.yaw[..., None], size.length_m, size.width_m)
-    hits_parked = (overlap_depth(columns, road.parked_boxes()) > 1e-4).flatten(1).any(-1)
-    return is_beyond | hits_parked | (overlap_depth(ego, social) > 1e-4)
+    boxes = boxes_from_pose(x, y, world.vehicles.yaw, size.length_m - 2e-4, size.width_m - 2e-4)
+    ego, social = (Boxes(*(field[:, i] for field in boxes[:4]), *boxes[4:]) for i in (0, 1))
+    columns = boxes._replace(**{name: getattr(boxes, name)[..., None] for name in ("x", "y", "cos", "sin")})
+    hits_parked = (overlap_depth(columns, road.parked_boxes(direction)) > 0).flatten(1).any(-1)
+    return road.is_off_road(boxes, direction).any(-1) | hits_parked | (overlap_depth(ego, social) > 0)
 
 
 def eq_3(config: RewardConfig, is_collision: Tensor, is_success: Tensor) -> Tensor:

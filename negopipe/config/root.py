@@ -36,12 +36,12 @@ from negopipe.simulation.starts import check_starts
 from negopipe.simulation.state import world_memory
 from negopipe.tracking.store import TrackingConfig
 
-Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "benchmark"]
+Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "streets", "benchmark"]
 
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 """Name of an episode, `<setting>/<planner>/<number>`: three columns of episodes.csv."""
 
-WITHOUT_POLICY = {"behaviour_map", "oracle", "benchmark"}
+WITHOUT_POLICY = {"behaviour_map", "oracle", "streets", "benchmark"}
 """Stages that drive without the run's policy."""
 
 RESULT_NEUTRAL = {

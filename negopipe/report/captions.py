@@ -68,6 +68,15 @@ CAPTIONS = {
         """Share of each prediction horizon among the decisions that the adaptive planner takes within each metre of the
         road. Dashed lines: mouths of the corridor. A waiting vehicle takes many decisions at one place.""",
     ),
+    "streets_training": (
+        "Streets of the training",
+        """The first streets that the policy was trained on. The ego drives from the left to the right. Sizes are drawn
+        from the intervals of scenario.road.""",
+    ),
+    "streets_held_out": (
+        "Streets of the evaluation",
+        """The first streets on which every planner was evaluated. Training has seen none of them.""",
+    ),
     "learning_curves": (
         "Learning curves",
         """Success rate and return of the latest training episodes, over decisions and over wall time. Lines: means

@@ -27,6 +27,7 @@ class ReportConfig:
     n_animations: NonNegativeInt
     animation_fps: Annotated[PositiveInt, Field(le=50)]  # a GIF's frames last hundredths of a second, two at least
     side_by_side: tuple[str, ...]
+    n_streets: PositiveInt
 
     def check(self, baselines: Iterable[str]) -> Iterator[Problem]:
         yield from check_names("report.side_by_side", self.side_by_side, baselines, "evaluation.baselines")

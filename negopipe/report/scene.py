@@ -4,10 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
 
 from negopipe.report.style import CORRIDOR, INK, QUIET
+from negopipe.simulation.road import Road
+from negopipe.simulation.scenario import VehicleConfig
 
 GROUND, ROAD, PARKED, SOCIAL = "#DDE3DC", "#F7F7F5", "#B9BDC2", "#4A4A4A"
 
@@ -37,6 +40,32 @@ class Scene:
 
 SceneOf = Callable[[int], Scene]
 """The scene of a street, by its number."""
+
+
+SEEN_M = 60.0
+"""Length of a drawn street on either side of its corridor, m."""
+
+
+def scene_of(vehicle: VehicleConfig, road: Road, street: int, plan_s: float) -> Scene:
+    """A street as plain arrays for drawing; street: its number; plan_s: length of a plan, s."""
+    along = torch.tensor(float(street), device=road.device)
+    half_m = float(road.corridor_m(along)) / 2
+    sigma = road.sampled(-half_m - SEEN_M, half_m + SEEN_M)
+    direction = along * torch.tensor([[1.0], [-1.0]], device=road.device)
+    sign = road.sign(direction)
+    parked = road.parked_boxes(along)
+    sizes = (2 * torch.as_tensor(half) for half in (parked.half_length, parked.half_width))
+    places = road.narrow_places[int(road.way(along))] - half_m
+    return Scene(
+        parked_cars=torch.stack([parked.x, parked.y, torch.atan2(parked.sin, parked.cos), *sizes], -1).cpu().numpy(),
+        line_m=torch.stack([sigma, *road.line(along).pose(sigma)], -1).cpu().numpy(),
+        kerbs_m=road.kerb_lines(sigma, along).cpu().numpy(),
+        corridors_m=[road.kerb_lines(road.sampled(*place), along).cpu().numpy() for place in places.tolist()],
+        route_d_m=(sign * road.route_offset(sign * sigma + half_m, direction)[0]).cpu().numpy(),
+        vehicle_length_m=vehicle.length_m,
+        vehicle_width_m=vehicle.width_m,
+        plan_s=plan_s,
+    )
 
 
 def add_polygon(axis: Axes, color: str, alpha: float = 1.0) -> Polygon:

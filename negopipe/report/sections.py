@@ -11,6 +11,8 @@ from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import ADAPTIVE, Trace
 from negopipe.report.run_files import adaptive_of
 from negopipe.report.scene import SceneOf
+from negopipe.report.street_figures import street_maps
+from negopipe.simulation.simulator import Simulator
 from negopipe.tracking.csv_file import read_csv
 
 if TYPE_CHECKING:
@@ -186,6 +188,14 @@ def _style_text(trace: Trace, episode: int) -> str:
     """How the nearest social vehicle drives: `style 6 s`, or the driver's name where it has no style."""
     style_s = trace.style_horizon_s[episode, NEAREST]
     return str(trace.driver[episode, NEAREST]) if np.isnan(style_s) else f"style {horizon_label(style_s)}"
+
+
+def streets_sections(writer: FigureWriter, simulator: Simulator, n: int) -> list[Section]:
+    """Maps of the streets, where there are several; n: streets shown of each kind."""
+    if simulator.road.n_streets == 1:
+        return []
+    maps = street_maps(simulator, n)
+    return [Section("Streets", "", [writer.figure(name, drawn, *caption(name)) for name, drawn in maps.items()])]
 
 
 def behaviour_section(

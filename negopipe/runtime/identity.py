@@ -31,6 +31,7 @@ DEPENDS_ON = {
     "replay": (*_TRAINING, "evaluation", "report", "episode"),
     "behaviour_map": (*_GAME, "evaluation", "behaviour_map", "report"),
     "oracle": (*_GAME, "evaluation", "oracle"),
+    "streets": (*_GAME, "report"),
     "benchmark": (*_TRAINING, "n_threads", "evaluation", "benchmark", "tracking"),
 }
 """Groups of the config that a stage's result depends on, including those of the stages that it builds on."""
@@ -45,7 +46,7 @@ MAPPED = "behaviour_map"
 """Stage whose figure the report shows."""
 NOT_TRAINED_ON = ("families",)
 """Keys of the scenario that training does not depend on: it draws from the curriculum's families."""
-WITHOUT_NETWORK = ("behaviour_map", "oracle")
+WITHOUT_NETWORK = ("behaviour_map", "oracle", "streets")
 """Stages that build no network."""
 ONLY_COMPUTED_WITH = ("precision",)
 """Keys of the policy that stages without a network do not depend on."""

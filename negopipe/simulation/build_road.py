@@ -15,8 +15,11 @@ from negopipe.simulation.street import Street
 from negopipe.simulation.streets import Streets
 from negopipe.tensors.seeding import generator
 
-N_ROUNDS = 20
-"""Rounds of drawing, each of twice the streets that are missing."""
+N_DRAWN = 128
+"""Streets that are drawn and checked together."""
+
+LEAST_SHARE = 1 / 50
+"""Share of the drawn streets that must be drivable."""
 
 
 def build_road(scenario: ScenarioConfig, device: torch.device | str = "cpu") -> Road:
@@ -65,13 +68,12 @@ def _drivable_streets(
     """`n` streets whose routes keep to the requirements of `streets`; UserError where too few do."""
     found: list[StreetConfig] = []
     n_drawn = 0
-    for _ in range(N_ROUNDS):
-        drawn = tuple(road.draw(2 * (n - len(found)), random))
+    while len(found) >= n_drawn * LEAST_SHARE:
+        drawn = tuple(road.draw(N_DRAWN, random))
         n_drawn += len(drawn)
         is_good = is_drivable(_by_table(drawn, "cpu"), vehicle, streets.clearance_m, streets.curvature_max_1pm)
         found += [street for street, good in zip(drawn, is_good.tolist(), strict=True) if good]
         if len(found) >= n:
             return found[:n]
-    rule = f"streets.clearance_m = {streets.clearance_m} beside vehicle.width_m = {vehicle.width_m}"
-    rule += f" and streets.curvature_max_1pm = {streets.curvature_max_1pm}"
-    raise UserError(f"scenario.road must leave streets with {rule}, got {len(found)} of {n_drawn} drawn")
+    rule = f"streets.clearance_m = {streets.clearance_m} and curvature_max_1pm = {streets.curvature_max_1pm}"
+    raise UserError(f"scenario.road must leave streets with {rule}, {len(found)} of {n_drawn} do: {road.intervals}")

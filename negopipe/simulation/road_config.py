@@ -180,6 +180,14 @@ class RoadConfig:
         return is_drawn or self.parked_empty_share != 0 or self.parked_irregularity != 0
 
     @property
+    def intervals(self) -> str:
+        """The sizes that streets are drawn with, for a message."""
+        drawn = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "bends"}
+        texts = {name: list(value) for name, value in drawn.items() if isinstance(value, tuple)}
+        texts |= {name: drawn[name] for name in ("parked_empty_share", "parked_irregularity") if drawn[name] != 0}
+        return ", ".join(f"{name} {value}" for name, value in texts.items())
+
+    @property
     def street(self) -> StreetConfig:
         """The only street of a road that does not vary."""
         return self._street(torch.Generator())
@@ -195,7 +203,9 @@ class RoadConfig:
                 return self._street(generator)
             except ValueError as error:
                 reason = error
-        raise UserError(f"scenario.road must leave streets that fit, none of {N_TRIES} drawn did: {reason}")
+        raise UserError(
+            f"scenario.road must leave streets that fit, none of {N_TRIES} does: {reason}; {self.intervals}"
+        )
 
     def _street(self, generator: torch.Generator) -> StreetConfig:
         """One street; ValueError where something does not fit."""

@@ -10,6 +10,9 @@ Frames
     route   per vehicle: `s` along the line in its own driving direction with s = 0 at the mouth of the corridor
             that the vehicle meets first, `d` to its own left; the corridor spans 0 <= s <= corridor length.
     body    x ahead, y to the left, origin at the centre of the footprint.
+
+A direction is a signed number: +n along the line of street n, -n against it, with n from 1; +1 and -1 where there is
+one street. All vehicles of a world drive on one street.
 """
 
 from dataclasses import dataclass
@@ -86,7 +89,7 @@ class Task:
     next_style_horizon: [E, V] float32, s, prediction horizon after a switch; NaN where there is none
     switch_time: [E, V] float32, s, time in the episode of a switch; inf = never
     patience: [E, V] float32, s, time at rest without a break before a switch; inf = never
-    direction: [E, V] float32, +1 drives towards growing sigma (+x in the corridor), -1 against it
+    direction: [E, V] float32, +n drives along the line of street n (n from 1; towards growing sigma), -n against it
     noise_seed: [E] int64, from 0 to 2^24 - 1, of the errors with which vehicles perceive each other
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
     casting: who drives the social vehicles

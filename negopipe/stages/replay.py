@@ -14,10 +14,10 @@ from negopipe.evaluation.replay import PolicyTrace, record_policy, replay
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
 from negopipe.game.game import Game
 from negopipe.report import animation
+from negopipe.report.scene import scene_of
 from negopipe.runtime.build import build, load_weights
 from negopipe.simulation.state import Task
 from negopipe.stages.evaluate import checkpoint_of, drive_baseline, held_out_tasks, measure
-from negopipe.stages.report import make_scene
 from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import csv_text, parse_csv, read_csv
 from negopipe.tracking.whole_file import write_whole
@@ -58,7 +58,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     folder = tracked.folder / FOLDER
     folder.mkdir(exist_ok=True)
     name = "_".join(map(str, which))
-    scene = make_scene(config.scenario.vehicle, game.simulator.road, int(trace.street[0]), config.planner.horizon_s)
+    scene = scene_of(config.scenario.vehicle, game.simulator.road, int(trace.street[0]), config.planner.horizon_s)
     fixed_s = config.evaluation.fixed_horizons_s
     files = {
         "gif": animation.animate([trace], 0, scene, config.report.animation_fps, fixed_s, policy_trace),

@@ -15,7 +15,7 @@ from negopipe.report.headlines import headlines
 from negopipe.report.page import Results, build_page, chapters, settings_in_order
 from negopipe.report.provenance import provenance, write_claims
 from negopipe.report.run_files import RESULTS, adaptive_of, by_setting, in_order, pick, read_metrics
-from negopipe.report.scene import Scene
+from negopipe.report.scene import scene_of
 from negopipe.report.sections import (
     FigureWriter,
     behaviour_section,
@@ -23,13 +23,11 @@ from negopipe.report.sections import (
     films_section,
     negotiations_section,
     planners_section,
+    streets_sections,
     training_section,
     unseen_distances,
 )
-from negopipe.runtime.build import build, load_weights
-from negopipe.simulation.build_road import build_road
-from negopipe.simulation.road import Road
-from negopipe.simulation.scenario import VehicleConfig
+from negopipe.runtime.build import build, game_of, load_weights
 from negopipe.simulation.state import EGO
 from negopipe.stages.behaviour_map import MAP_NAME
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
@@ -39,9 +37,6 @@ from negopipe.tracking.csv_file import read_csv
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
     from negopipe.tracking.store import TrackedRun
-
-SEEN_M = 60.0
-"""Length of a drawn street on either side of its corridor, m."""
 
 log = logging.getLogger("negopipe")
 
@@ -66,7 +61,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     write_claims(tracked, claims)
     drawings = FigureWriter(tracked.folder / "figures", config.report.figure_formats)
     films = FigureWriter(tracked.folder / "animations")
-    road = build_road(config.scenario)
+    simulator = game_of(config).simulator
     policy_traces = record_policies(config, tracked, traces)
     log.info("report: figures")
     sections = [
@@ -76,11 +71,12 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
             config.report,
             films,
             traces,
-            lambda street: make_scene(config.scenario.vehicle, road, street, config.planner.horizon_s),
+            lambda street: scene_of(config.scenario.vehicle, simulator.road, street, config.planner.horizon_s),
             policy_traces,
             fixed_s,
         ),
         behaviour_section(drawings, traces, tracked.folder / MAP_NAME, fixed_s),
+        *streets_sections(drawings, simulator, config.report.n_streets),
         training_section(
             drawings, films, tracked, sorted({gap for gaps in unseen_distances(config).values() for gap in gaps})
         ),
@@ -96,28 +92,6 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     tracked.log_artifact(tracked.folder / "report.html")
     _log_tables(tracked, metrics, table)
     log.info("report: %s", tracked.folder / "report.html")
-
-
-def make_scene(vehicle: VehicleConfig, road: Road, street: int, plan_s: float) -> Scene:
-    """A street as plain arrays for drawing; street: its number; plan_s: length of a plan, s."""
-    along = torch.tensor(float(street), device=road.device)
-    half_m = float(road.corridor_m(along)) / 2
-    sigma = road.sampled(-half_m - SEEN_M, half_m + SEEN_M)
-    direction = along * torch.tensor([[1.0], [-1.0]], device=road.device)
-    sign = road.sign(direction)
-    parked = road.parked_boxes(along)
-    sizes = (2 * torch.as_tensor(half) for half in (parked.half_length, parked.half_width))
-    places = road.narrow_places[int(road.way(along))] - half_m
-    return Scene(
-        parked_cars=torch.stack([parked.x, parked.y, torch.atan2(parked.sin, parked.cos), *sizes], -1).cpu().numpy(),
-        line_m=torch.stack([sigma, *road.line(along).pose(sigma)], -1).cpu().numpy(),
-        kerbs_m=road.kerb_lines(sigma, along).cpu().numpy(),
-        corridors_m=[road.kerb_lines(road.sampled(*place), along).cpu().numpy() for place in places.tolist()],
-        route_d_m=(sign * road.route_offset(sign * sigma + half_m, direction)[0]).cpu().numpy(),
-        vehicle_length_m=vehicle.length_m,
-        vehicle_width_m=vehicle.width_m,
-        plan_s=plan_s,
-    )
 
 
 def record_policies(

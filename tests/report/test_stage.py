@@ -25,6 +25,7 @@ from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import Trace, load_traces, save_traces
 from negopipe.report import labels
 from negopipe.report.page import ReportConfig
+from negopipe.report.scene import scene_of
 from negopipe.simulation.build_road import build_road
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.stages import report
@@ -261,7 +262,7 @@ def test_planners_must_have_driven_the_same_tasks(run: RecordedRun) -> None:
 
 def test_the_scene_is_the_road(run: RecordedRun) -> None:
     config = Config().scenario
-    scene = report.make_scene(config.vehicle, build_road(config), 1, 6.0)
+    scene = scene_of(config.vehicle, build_road(config), 1, 6.0)
     sigma, x, y, heading = scene.line_m.T
     assert (x == sigma).all()
     assert not y.any()
