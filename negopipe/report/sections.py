@@ -12,7 +12,8 @@ from negopipe.evaluation.trace import ADAPTIVE, Trace
 from negopipe.report.run_files import adaptive_of
 from negopipe.report.scene import SceneOf
 from negopipe.report.street_figures import street_maps
-from negopipe.simulation.simulator import Simulator
+from negopipe.simulation.road import Road
+from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.tracking.csv_file import read_csv
 
 if TYPE_CHECKING:
@@ -190,11 +191,11 @@ def _style_text(trace: Trace, episode: int) -> str:
     return str(trace.driver[episode, NEAREST]) if np.isnan(style_s) else f"style {horizon_label(style_s)}"
 
 
-def streets_sections(writer: FigureWriter, simulator: Simulator, n: int) -> list[Section]:
+def streets_sections(writer: FigureWriter, scenario: ScenarioConfig, road: Road, n: int) -> list[Section]:
     """Maps of the streets, where there are several; n: streets shown of each kind."""
-    if simulator.road.n_streets == 1:
+    if road.n_streets == 1:
         return []
-    maps = street_maps(simulator, n)
+    maps = street_maps(scenario, road, n)
     return [Section("Streets", "", [writer.figure(name, drawn, *caption(name)) for name, drawn in maps.items()])]
 
 

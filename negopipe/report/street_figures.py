@@ -11,7 +11,10 @@ from matplotlib.patches import Patch
 
 from negopipe.report.scene import PARKED, Scene, draw_scene, scene_of
 from negopipe.report.style import ADAPTIVE_COLOR, CORRIDOR, INK, WIDTH_IN, styled
-from negopipe.simulation.simulator import Simulator
+from negopipe.simulation.collisions import CollisionCheck
+from negopipe.simulation.perception import other_columns
+from negopipe.simulation.road import Road
+from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.waiting_place import waiting_places
 
 N_COLUMNS = 2
@@ -33,15 +36,15 @@ class StreetMap:
     shown_m: float
 
 
-def street_maps(simulator: Simulator, n: int) -> dict[str, Figure]:
+def street_maps(scenario: ScenarioConfig, road: Road, n: int) -> dict[str, Figure]:
     """Figures by name: the first `n` streets of the training and of those that are held out, or the only one."""
-    scenario = simulator.scenario
+    collisions = CollisionCheck(road, scenario.vehicle, scenario.dt_s, other_columns(2, road.device))
     parts = {"streets_training": scenario.training_streets, "streets_held_out": scenario.held_out_streets}
     if scenario.training_streets == scenario.held_out_streets:
         parts = {"streets": scenario.held_out_streets}
-    waiting_s = waiting_places(simulator.collisions, 0.0).unflatten(0, (-1, 2)).cpu().numpy()
+    waiting_s = waiting_places(collisions, 0.0).unflatten(0, (-1, 2)).cpu().numpy()
     return {
-        name: gallery([_street_map(simulator, street, waiting_s[street - 1]) for street in part[:n]])
+        name: gallery([_street_map(scenario, road, street, waiting_s[street - 1]) for street in part[:n]])
         for name, part in parts.items()
     }
 
@@ -71,9 +74,8 @@ def _draw(axis: Axes, street: StreetMap) -> None:
     axis.set_title(street.title, fontsize=7, fontweight="normal")
 
 
-def _street_map(simulator: Simulator, street: int, waiting_s: np.ndarray) -> StreetMap:
+def _street_map(scenario: ScenarioConfig, road: Road, street: int, waiting_s: np.ndarray) -> StreetMap:
     """street: its number; waiting_s: [2, M] m, of both ways, the last places at which the other can pass."""
-    road, scenario = simulator.road, simulator.scenario
     scene = scene_of(scenario.vehicle, road, street, 0.0)
     half_m, points = float(road.corridor_m(road.ways[2 * street - 2])) / 2, []
     for s, d, sign in zip(waiting_s, scene.route_d_m, (1, -1), strict=True):

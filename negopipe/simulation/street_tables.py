@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.reference_line import GAUSS, KNOT_M, N_NEWTON, N_SEARCHED
+from negopipe.tensors.materialize import materialize
 
 Array = np.ndarray
 
@@ -67,7 +68,8 @@ class BoundLine:
 
     def curvature(self, sigma: Tensor) -> tuple[Tensor, Tensor]:
         (a, b, c, d), ahead = self._table._curvature.at(self._street, sigma)
-        return a + ahead * (b + ahead * (c + ahead * d)), b + ahead * (2 * c + 3 * ahead * d)
+        kappa, kappa_prime = materialize(a + ahead * (b + ahead * (c + ahead * d)), b + ahead * (2 * c + 3 * ahead * d))
+        return kappa, kappa_prime
 
     def pose(self, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """x, y (m) and heading (rad) of the line at sigma [...], world frame."""

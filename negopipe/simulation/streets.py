@@ -13,6 +13,7 @@ from negopipe.simulation.reference_line import KNOT_M
 from negopipe.simulation.road import Line, Road
 from negopipe.simulation.street import Street
 from negopipe.simulation.street_tables import BoundLine, LineTable, Polynomials, lines, quintics
+from negopipe.tensors.materialize import materialize
 
 BESIDE_M = 2.5
 """Reach of a footprint ahead and behind, m: a plan heeds the nearest kerbs within it where kerbs are uneven."""
@@ -99,7 +100,8 @@ class Streets(Road):
         value = a + x * (b + x * (c + x * (d + x * (e + x * f))))
         first = b + x * (2 * c + x * (3 * d + x * (4 * e + x * (5 * f))))
         second = 2 * c + x * (6 * d + x * (12 * e + x * (20 * f)))
-        return sign * value, first, sign * second
+        d, d_prime, d_pprime = materialize(sign * value, first, sign * second)  # or every reader would look them up
+        return d, d_prime, d_pprime
 
     def kerb_excess(self, s: Tensor, direction: Tensor, d: Tensor, reach: Tensor, sagitta: Tensor | float) -> Tensor:
         if self._has_even_kerbs:

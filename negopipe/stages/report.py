@@ -27,7 +27,8 @@ from negopipe.report.sections import (
     training_section,
     unseen_distances,
 )
-from negopipe.runtime.build import build, game_of, load_weights
+from negopipe.runtime.build import build, load_weights
+from negopipe.simulation.build_road import build_road
 from negopipe.simulation.state import EGO
 from negopipe.stages.behaviour_map import MAP_NAME
 from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
@@ -61,7 +62,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     write_claims(tracked, claims)
     drawings = FigureWriter(tracked.folder / "figures", config.report.figure_formats)
     films = FigureWriter(tracked.folder / "animations")
-    simulator = game_of(config).simulator
+    road = build_road(config.scenario)
     policy_traces = record_policies(config, tracked, traces)
     log.info("report: figures")
     sections = [
@@ -71,12 +72,12 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
             config.report,
             films,
             traces,
-            lambda street: scene_of(config.scenario.vehicle, simulator.road, street, config.planner.horizon_s),
+            lambda street: scene_of(config.scenario.vehicle, road, street, config.planner.horizon_s),
             policy_traces,
             fixed_s,
         ),
         behaviour_section(drawings, traces, tracked.folder / MAP_NAME, fixed_s),
-        *streets_sections(drawings, simulator, config.report.n_streets),
+        *streets_sections(drawings, config.scenario, road, config.report.n_streets),
         training_section(
             drawings, films, tracked, sorted({gap for gaps in unseen_distances(config).values() for gap in gaps})
         ),

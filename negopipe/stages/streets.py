@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from negopipe.report.figures import render
 from negopipe.report.street_figures import street_maps
-from negopipe.runtime.build import game_of
+from negopipe.simulation.build_road import build_road
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
@@ -16,10 +16,9 @@ log = logging.getLogger("negopipe")
 
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Writes figures/streets_training.* and figures/streets_held_out.*."""
-    simulator = game_of(config).simulator
     folder = tracked.folder / "figures"
     folder.mkdir(exist_ok=True)
-    for name, drawn in street_maps(simulator, config.report.n_streets).items():
+    for name, drawn in street_maps(config.scenario, build_road(config.scenario), config.report.n_streets).items():
         for format_ in config.report.figure_formats:
             path = folder / f"{name}.{format_}"
             path.write_bytes(render(drawn, format_))

@@ -9,8 +9,8 @@ def materialize(*values: Tensor) -> tuple[Tensor, ...]:
 
     A compiler always stores the result of a matrix product, and a product with the identity changes nothing.
 
-    values: float32 and finite, all of one shape
+    values: finite, all of one shape and dtype
     """
     rows = torch.stack(values).flatten(1)
-    kept = torch.mm(torch.eye(len(rows), device=rows.device), rows)
+    kept = torch.mm(torch.eye(len(rows), dtype=rows.dtype, device=rows.device), rows)
     return kept.reshape(len(values), *values[0].shape).unbind(0)

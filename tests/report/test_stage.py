@@ -50,7 +50,7 @@ class Config:
     def __init__(self, **changed: Any) -> None:
         scenario = yaml.safe_load((CONF / "scenario" / "narrow_lane.yaml").read_text())
         self.scenario = TypeAdapter(ScenarioConfig).validate_json(json.dumps(scenario), strict=True)
-        quick = {"figure_formats": ("svg",), "n_animations": 0, "side_by_side": (), "animation_fps": 2}
+        quick = {"figure_formats": ("svg",), "n_animations": 0, "side_by_side": (), "animation_fps": 2, "n_streets": 2}
         self.report = ReportConfig(**(quick | changed))
 
 

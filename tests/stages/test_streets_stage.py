@@ -12,6 +12,7 @@ from negopipe.config.root import RunConfig
 from negopipe.game.game import Game, build_game
 from negopipe.report.scene import scene_of
 from negopipe.report.street_figures import street_maps
+from negopipe.simulation.build_road import build_road
 from negopipe.stages import streets
 
 FEW = ("scenario.streets.n_training=3", "scenario.streets.n_held_out=5", "report.figure_formats=[png]")
@@ -29,7 +30,7 @@ def game(config: RunConfig) -> Game:
 
 @pytest.fixture(scope="module")
 def figures(config: RunConfig, game: Game) -> dict[str, Figure]:
-    return street_maps(game.simulator, config.report.n_streets)
+    return street_maps(config.scenario, game.simulator.road, config.report.n_streets)
 
 
 def titles(figure: Figure) -> list[str]:
@@ -46,8 +47,8 @@ def test_as_many_streets_are_shown_as_asked_for(figures: dict[str, Figure], game
 
 
 def test_a_single_street_is_one_figure() -> None:
-    game = build_game(tiny_config("streets", "scenario=narrow_lane", "curriculum=none"))
-    figures = street_maps(game.simulator, 3)
+    scenario = tiny_config("streets", "scenario=narrow_lane", "curriculum=none").scenario
+    figures = street_maps(scenario, build_road(scenario), 3)
     assert list(figures) == ["streets"]
     assert titles(figures["streets"]) == ["street 1: corridor 12.0 m"]
 
