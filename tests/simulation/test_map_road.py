@@ -221,27 +221,28 @@ def test_random_drives_have_no_unseen_contact(real: tuple[RunConfig, Game]) -> N
     config, game = real
     part, random = driven_part(config), torch.Generator().manual_seed(1)
     families = {"mixture": config.scenario.families["mixture"]}
-    world = game.simulator.reset(TaskSampler(config.scenario, families, random).draw(32))
+    world = game.simulator.reset(TaskSampler(config.scenario, families, random).draw(16))
     first = game.simulator.road.progress(world.vehicles.position, world.task.direction)
-    for step in range(50):
+    for step in range(36):
         if step % 5 == 0:
-            horizon = 2.0 * torch.randint(4, (32, 2), generator=random)
+            horizon = 2.0 * torch.randint(4, (16, 2), generator=random)
         world, _ = game.simulator.step(world, game.plan(game.perceive(world), horizon).state)
         assert torch.isfinite(world.vehicles.position).all()
         assert not (contacts(config, game, world.vehicles, part) & ~world.has_collided.any(1)).any()
     driven_m = game.simulator.road.progress(world.vehicles.position, world.task.direction) - first
-    assert float(driven_m.mean()) > 15
-    assert float(driven_m.max()) > 35
+    assert float(driven_m.mean()) > 12
+    assert float(driven_m.max()) > 25
 
 
 def test_a_cautious_driver_gets_through(drawn: tuple[RunConfig, Game]) -> None:
     config, game = drawn
     choice = ["evaluation/baseline=[cautious]", "report.side_by_side=[]"]
     cautious = compose_config(choice).evaluation.baselines["cautious"]
-    task = TaskSampler(config.scenario, config.scenario.families, torch.Generator().manual_seed(0)).draw(8)
+    families = {"yield": config.scenario.families["yield"]}
+    task = TaskSampler(config.scenario, families, torch.Generator().manual_seed(0)).draw(6)
     paid, names = config.evaluation.reward, ("baseline", "cautious")
-    trace = drive_episodes(game, partial(cautious.driver, game), task, 8, paid, names, cautious.is_lockstep)
-    assert int((trace.outcome == OUTCOMES.index("success")).sum()) >= 7
+    trace = drive_episodes(game, partial(cautious.driver, game), task, 6, paid, names, cautious.is_lockstep)
+    assert int((trace.outcome == OUTCOMES.index("success")).sum()) == 6
 
 
 def test_commonroad_gives_the_same_street_as_lanelet2(drawn: tuple[RunConfig, Game], tmp_path: Path) -> None:
