@@ -9,6 +9,7 @@ The map, lowest first: a package imports only what stands above it here, and its
     tensors       batched tensors without anything of driving: trees, chunks, random streams, settings of torch
     policy        the network
     learning      ACKTR, PPO and A2C: rollout, advantage, update, K-FAC; tensors only
+    maps          real streets: lanelet2 and CommonRoad files in, CommonRoad scenarios out
     simulation    the rules of the game: state, geometry, street, tasks, perception, dynamics, collisions, simulator
     planner       Frenet candidates, prediction of the others, the choice
     observation   occupancy grids

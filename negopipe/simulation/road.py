@@ -152,7 +152,7 @@ class Road(ABC):
     @property
     @abstractmethod
     def parked_on_line(self) -> list[list[tuple[float, float, float, float]]]:
-        """sigma, d, length and width (m) of the parked cars of every street; each stands along the line's tangent."""
+        """sigma, d, length and width (m) of the cars parked on every street's road, each along the line's tangent."""
 
     @property
     def ways(self) -> Tensor:

@@ -22,6 +22,7 @@ from negopipe.schema import (
     PositiveMetres,
     schema,
 )
+from negopipe.simulation.map_config import MapConfig, read_map
 from negopipe.simulation.road_config import RoadConfig, StreetsConfig
 from negopipe.simulation.state import EGO, Casting, Task
 
@@ -118,6 +119,7 @@ class ScenarioConfig:
     social_spacing_m: PositiveMetres
     road: RoadConfig
     streets: StreetsConfig
+    map: MapConfig | None
     vehicle: VehicleConfig
     ego_start_distance_m: Interval
     start_speed_mps: Interval
@@ -126,14 +128,19 @@ class ScenarioConfig:
     families: Annotated[Families, Field(min_length=1)]
 
     @property
+    def has_many_streets(self) -> bool:
+        """Whether streets are drawn; a map has one."""
+        return self.map is None and self.road.varies
+
+    @property
     def training_streets(self) -> range:
         """Numbers of the streets that training draws tasks on."""
-        return range(1, 1 + self.streets.n_training) if self.road.varies else range(1, 2)
+        return range(1, 1 + self.streets.n_training) if self.has_many_streets else range(1, 2)
 
     @property
     def held_out_streets(self) -> range:
         """Numbers of the streets that everything else draws tasks on."""
-        if not self.road.varies:
+        if not self.has_many_streets:
             return range(1, 2)
         first = 1 + self.streets.n_training
         return range(first, first + self.streets.n_held_out)
@@ -141,6 +148,8 @@ class ScenarioConfig:
     @property
     def most_parked(self) -> int:
         """Upper bound on the parked cars of a street."""
+        if self.map is not None:
+            return len(read_map(self.map).parked)
         n_per_side, n_corridors = (
             max(n) if isinstance(n, tuple) else n for n in (self.road.n_parked_per_side, self.road.n_corridors)
         )

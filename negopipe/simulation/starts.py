@@ -51,7 +51,9 @@ class _Starts:
         self._number = torch.arange(1.0, 1 + self.road.n_streets)
 
     def check_corridor(self) -> Iterator[Problem]:
-        """A vehicle fits between the parked cars."""
+        """A vehicle fits between the parked cars; a map's road is checked where it is built."""
+        if not self.streets:
+            return
         gap_m, width_m = min(street.corridor_gap_m for street in self.streets), self.size.width_m
         if width_m > gap_m:
             yield Problem("scenario.vehicle.width_m", f"be at most scenario.road.corridor_gap_m = {gap_m}", width_m)
@@ -69,8 +71,8 @@ class _Starts:
         nearest_m, width_m = float(distance.expand_as(touches)[touches].min()), self.size.width_m
         farther = nearest_m + torch.arange(0, SEARCHED_M, STEP_M)
         clear = farther[~self._touches(farther, direction).any(0)]
-        lane_m = min(street.width_m - 2 * street.lane_offset_m for street in self.streets)
-        if not len(clear) and width_m > lane_m:
+        lane_m = min((street.width_m - 2 * street.lane_offset_m for street in self.streets), default=0.0)
+        if self.streets and not len(clear) and width_m > lane_m:
             rule = f"be at most scenario.road.width_m - 2 lane_offset_m = {lane_m:g}, the width of a lane"
             yield Problem("scenario.vehicle.width_m", rule, width_m)
             return
@@ -90,8 +92,9 @@ class _Starts:
         ego_m = self.scenario.ego_start_distance_m[0]
         ego, social = (self._boxes(torch.tensor([m]), way) for m, way in ((ego_m, 1.0), (social_m, -1.0)))
         if (overlap_depth(ego, social) > TOUCH_M).any():
-            shortest_m = min(street.corridor_length_m for street in self.streets)
-            across = f"across scenario.road.corridor_length_m = {shortest_m}"
+            lengths_m = [street.corridor_length_m for street in self.streets]
+            corridor = f"scenario.road.corridor_length_m = {min(lengths_m)}" if lengths_m else "the narrow places"
+            across = f"across {corridor}"
             yield Problem(f"{key} and {ego_key}", "keep the vehicles apart", f"{social_m} and {ego_m} {across}")
 
     def _touches(self, distance: Tensor, direction: float) -> Tensor:

@@ -7,10 +7,16 @@ import torch
 
 from negopipe.simulation.geometry import smoothstep
 from negopipe.simulation.one_street import park
-from negopipe.simulation.reference_line import Course, knots
+from negopipe.simulation.reference_line import KNOT_M, Course, knots
 from negopipe.simulation.road_config import StreetConfig
 
 Array = np.ndarray
+
+Car = tuple[float, float, float, float]
+"""sigma, d, length and width of a parked car, m."""
+
+ON_ROAD_M = 0.01
+"""Width by which a car reaches over the kerb from which on it stands on the road, m."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,15 @@ class Street:
     def has_even_kerbs(self) -> bool:
         """Whether both kerbs are at one distance everywhere."""
         return bool((self.kerbs == self.kerbs[0, 0]).all())
+
+    @property
+    def on_road(self) -> list[Car]:
+        """The parked cars that stand on the road, not beside it."""
+        sigma = KNOT_M * (np.arange(self.kerbs.shape[1]) - (self.kerbs.shape[1] - 1) / 2)
+        right, left = (np.interp(self.parked[:, 0], sigma, kerb) for kerb in self.kerbs)
+        d, width = self.parked[:, 1], self.parked[:, 3]
+        is_on_road = np.abs(d) - width / 2 < np.where(d > 0, left, right) - ON_ROAD_M
+        return [(at, offset, length, across) for at, offset, length, across in self.parked[is_on_road].tolist()]
 
     @staticmethod
     def of(config: StreetConfig, reach_m: float) -> "Street":

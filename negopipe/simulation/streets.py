@@ -15,6 +15,9 @@ from negopipe.simulation.street import Street
 from negopipe.simulation.street_tables import BoundLine, LineTable, Polynomials, lines, quintics
 from negopipe.tensors.materialize import materialize
 
+BESIDE_M = 2.5
+"""Reach of a footprint ahead and behind, m: a plan heeds the nearest kerbs within it where kerbs are uneven."""
+
 FAR_M = 1e4
 """Coordinate of boxes that fill up the tables of streets with fewer of them, m."""
 
@@ -52,6 +55,8 @@ class Streets(Road):
         self._lines = LineTable(np.stack([street.curvature for street in streets]), self.device)
         self._routes = Polynomials(quintics(np.concatenate([street.routes for street in streets])), self.device)
         self._kerbs = Polynomials(lines(np.concatenate([street.kerbs for street in streets])), self.device)
+        near = np.concatenate([_nearest_kerbs(street.kerbs) for street in streets])
+        self._nearest_kerbs = Polynomials(lines(near), self.device)
         self._half_width = self._tensor([street.kerbs[0, 0] for street in streets])  # [B], where kerbs are even
         lengths = [street.narrow[-1, 1] - street.narrow[0, 0] for street in streets]
         self._corridor = self._tensor(lengths)  # [B]
@@ -87,7 +92,7 @@ class Streets(Road):
 
     @property
     def parked_on_line(self) -> list[list[tuple[float, float, float, float]]]:
-        return [[(s, d, length, width) for s, d, length, width in street.parked.tolist()] for street in self.streets]
+        return [street.on_road for street in self.streets]
 
     def route_offset(self, s: Tensor, direction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         sign = self.sign(direction)
@@ -101,7 +106,7 @@ class Streets(Road):
     def kerb_excess(self, s: Tensor, direction: Tensor, d: Tensor, reach: Tensor, sagitta: Tensor | float) -> Tensor:
         if self._has_even_kerbs:
             return d.abs() + reach + sagitta - self.pick(self._half_width, direction)
-        right, left = self.kerbs_at(self.sigma(s, direction), direction)
+        right, left = self._looked_up(self._nearest_kerbs, self.sigma(s, direction), direction)
         offset = self.sign(direction) * d  # to the line's left
         return torch.maximum(offset - left, -offset - right) + reach + sagitta
 
@@ -119,9 +124,12 @@ class Streets(Road):
         return torch.maximum(d - left, -d - right).amax(0) > 0
 
     def kerbs_at(self, sigma: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
+        return self._looked_up(self._kerbs, sigma, direction)
+
+    def _looked_up(self, kerbs: Polynomials, sigma: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
         row = 2 * self._street(direction)
-        (right, right_slope), ahead = self._kerbs.at(row, sigma)
-        (left, left_slope), _ = self._kerbs.at(row + 1, sigma)
+        (right, right_slope), ahead = kerbs.at(row, sigma)
+        (left, left_slope), _ = kerbs.at(row + 1, sigma)
         return right + ahead * right_slope, left + ahead * left_slope
 
     def _street(self, direction: Tensor) -> Tensor:
@@ -138,6 +146,13 @@ class Streets(Road):
 
     def _tensor(self, values: Sequence[float] | np.ndarray) -> Tensor:
         return torch.tensor(np.asarray(values), dtype=torch.float32, device=self.device)
+
+
+def _nearest_kerbs(kerbs: np.ndarray) -> np.ndarray:
+    """[2, K]: distances [2, K] of the kerbs, each the least within `BESIDE_M`."""
+    n = round(BESIDE_M / KNOT_M)
+    padded = np.pad(kerbs, ((0, 0), (n, n)), mode="edge")
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * n + 1, axis=1).min(-1)
 
 
 def _padded(rows: Sequence[np.ndarray]) -> np.ndarray:

@@ -1,0 +1,50 @@
+"""Check of the routes of a road: room beside a vehicle on its route, and the sharpness of the route's bends."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
+from negopipe.simulation.road import RouteState
+from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.streets import Streets
+
+STEP_M = 1.0
+"""Spacing of the places at which a route is checked, m."""
+
+
+class RouteCheck(NamedTuple):
+    """Routes of B streets at K places each; fields [2B, K], by way.
+
+    sigma: float32, m
+    touches: bool, a vehicle that is grown by the clearance touches a kerb or a parked car
+    curvature: float32, 1/m, of the route
+    """
+
+    sigma: Tensor
+    touches: Tensor
+    curvature: Tensor
+
+
+def check_routes(road: Streets, vehicle: VehicleConfig, clearance_m: float) -> RouteCheck:
+    """Both routes of every street, from end to end."""
+    s = torch.arange(-road.reach_m, road.reach_m, STEP_M)
+    way = road.ways[:, None].expand(-1, len(s))
+    s = s + road.corridor_m(way) / 2
+    zero = torch.zeros_like(s)
+    on_route = road.to_world(RouteState(s, zero, zero, *road.route_offset(s, way)), way)
+    grown = 2 * clearance_m
+    x, y = on_route.position.unbind(-1)
+    boxes = boxes_from_pose(x, y, on_route.yaw, vehicle.length_m + grown, vehicle.width_m + grown)
+    x, y, cos, sin = (field[..., None] for field in boxes[:4])
+    each = boxes._replace(x=x, y=y, cos=cos, sin=sin)
+    touches = (overlap_depth(each, road.parked_boxes(way)) > 0).any(-1) | road.is_off_road(boxes, way)
+    return RouteCheck(road.sigma(s, way), touches, on_route.curvature)
+
+
+def is_drivable(road: Streets, vehicle: VehicleConfig, clearance_m: float, curvature_max_1pm: float) -> Tensor:
+    """[B] bool: on both routes a vehicle keeps clear of kerbs and parked cars, and no bend is too sharp."""
+    routes = check_routes(road, vehicle, clearance_m)
+    is_bad = routes.touches | (routes.curvature.abs() > curvature_max_1pm)
+    return ~is_bad.unflatten(0, (-1, 2)).flatten(1).any(1)
