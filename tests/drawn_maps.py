@@ -1,5 +1,6 @@
 """Maps drawn for tests: a bent street of known kerbs as lanelet2 and as CommonRoad file, and published maps at hand."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
@@ -15,15 +16,15 @@ Array = NDArray[np.float64]
 HALF_M = 3.0
 """Distance of the kerbs from the middle of the drawn street."""
 PARKING = Parking(fill=1.0, seed=3, length_m=(3.9, 4.9), width_m=(1.7, 1.9), gap_m=(0.6, 1.2))
-BESIDE = Path(__file__).parents[2] / "shared" / "maps"
-"""Published maps in folders beside the checkout; they are not part of the repository."""
+PUBLISHED = os.environ.get("NEGOPIPE_MAPS", "")
+"""Folder of published maps, which are not part of the repository; docs/scenarios.md says where they can be had."""
 
 
 def published(name: str) -> Path:
     """A published map at hand; the test is skipped where it is not."""
-    path = BESIDE / name
+    path = Path(PUBLISHED, name)
     if not path.exists():
-        pytest.skip(f"the published map {name} is not in {BESIDE}")
+        pytest.skip(f"NEGOPIPE_MAPS names no folder with the published map {name}")
     return path
 
 
