@@ -67,7 +67,8 @@ class CollisionCheck:
     def touches(self, vehicles: VehicleState, direction: Tensor) -> Tensor:
         """[E, V] bool: the footprint touches another vehicle, a parked car or a kerb; direction: [E, V]."""
         (poses,) = _worlds_last(vehicles)
-        return self._touches(poses, direction.T).transpose(0, 1)
+        is_off_road = self.road.is_off_road(self._boxes(poses.x, poses.y, poses.yaw), direction.T)
+        return (self._overlaps(poses, direction.T) | is_off_road).transpose(0, 1)
 
     def first_contact(self, before: VehicleState, after: VehicleState, direction: Tensor) -> Tensor:
         """[E, V] float32: share of the control step from `before` to `after` at which a vehicle touches something.
@@ -79,8 +80,10 @@ class CollisionCheck:
         start, end = _worlds_last(before, after)
         way = direction.T
         hit = self._hit(self._interpolate(start, end, self._share), way)
-        contact = torch.minimum(hit, self._off_road(start, end, way))
-        return torch.where(self._touches(end, way), 1.0, contact).transpose(0, 1)
+        is_off_road = self._is_off_road(start, end, way)
+        left_road = torch.where(is_off_road[:-1], self._kerb_share, torch.inf)
+        contact = torch.cat([left_road, hit[None]]).amin(0)
+        return torch.where(self._overlaps(end, way) | is_off_road[-1], 1.0, contact).transpose(0, 1)
 
     def moved_until(self, share: Tensor, before: VehicleState, after: VehicleState) -> VehicleState:
         """The state `after` [E, V]; where `share` [E, V] is below 1, the state at that share of the step instead."""
@@ -118,13 +121,13 @@ class CollisionCheck:
             start.speed + t * (end.speed - start.speed),
         )
 
-    def _touches(self, poses: _Poses, direction: Tensor) -> Tensor:
-        """[V, E] bool: the footprint touches another vehicle, a parked car or a kerb."""
+    def _overlaps(self, poses: _Poses, direction: Tensor) -> Tensor:
+        """[V, E] bool: the footprint touches another vehicle or a parked car."""
         boxes = self._boxes(poses.x, poses.y, poses.yaw)
         own = _fields(boxes, lambda field: field[:, None])  # [V, 1, E]
         others = _fields(boxes, lambda field: field[self._others])  # [V, O, E]
         with_others, with_parked = overlap_depth(own, others), overlap_depth(own, self._parked(direction))
-        return (torch.cat([with_others, with_parked], 1).amax(1) > 0) | self.road.is_off_road(boxes, direction)
+        return torch.cat([with_others, with_parked], 1).amax(1) > 0
 
     def _hit(self, poses: _Poses, direction: Tensor) -> Tensor:
         """[V, E] share of the step at which a vehicle hits another or a parked car; inf where it never does."""
@@ -142,13 +145,11 @@ class CollisionCheck:
         piece = torch.arange(self._n_pieces, device=within.device)[:, None, None]
         return torch.where(within < 1, (piece + within) / self._n_pieces, torch.inf).amin(0)
 
-    def _off_road(self, start: _Poses, end: _Poses, direction: Tensor) -> Tensor:
-        """[V, E] first share of the step, at the ends of pieces but the last, off the road; inf where none is."""
-        if len(self._kerb_share) == 0:
-            return torch.full_like(start.x, torch.inf)
-        poses = self._interpolate(start, end, self._kerb_share)
-        is_off = self.road.is_off_road(self._boxes(poses.x, poses.y, poses.yaw), direction)
-        return torch.where(is_off, self._kerb_share, torch.inf).amin(0)
+    def _is_off_road(self, start: _Poses, end: _Poses, direction: Tensor) -> Tensor:
+        """[N, V, E] bool: the footprint reaches over a kerb at the ends of pieces, the last of which is the step's."""
+        between = self._interpolate(start, end, self._kerb_share)
+        x, y, yaw = (torch.cat([a, b[None]]) for a, b in zip(between[:3], end[:3], strict=True))
+        return self.road.is_off_road(self._boxes(x, y, yaw), direction)
 
     def _parked(self, direction: Tensor) -> Boxes:
         """Parked cars, fields [P, E] or, of one street, [P, 1]; direction: [V, E]."""
