@@ -21,7 +21,6 @@ class OneStreet(Road):
 
     reference: the line in the middle between the kerbs
     parked_cars: [P, 5] float32, x, y, yaw, length, width; world frame, m and rad
-    corridor_sigma_m: (first, last) sigma of the corridor, m
     target_s_m: s at which a vehicle has arrived
     """
 
@@ -31,7 +30,6 @@ class OneStreet(Road):
         self.config, self.device = config, torch.device(device)
         self.reference = ReferenceLine(config.bends, device)
         self.is_straight = self.reference.is_straight
-        self.corridor_sigma_m = (-config.corridor_length_m / 2, config.corridor_length_m / 2)
         self.target_s_m = config.corridor_length_m + config.target_distance_m
         self.narrow_places = torch.tensor([[[0.0, config.corridor_length_m]]] * 2, device=device)
         self.n_places = torch.ones(1, dtype=torch.int64, device=device)

@@ -140,9 +140,8 @@ class Streets(Road):
         """[P, 5]: x, y, yaw, length and width of the cars parked on a street, world frame."""
         sigma, d, length, width = torch.tensor(self.streets[index].parked, dtype=torch.float32).unbind(-1)
         line = BoundLine(self._lines, torch.full((len(sigma),), index, device=self.device))
-        on_line = (field.to(self.device) for field in (sigma, d))
-        along, across = on_line
-        return torch.stack([*line.place(along, across), line.heading(along), length, width], -1).cpu().numpy()
+        x, y = (field.cpu() for field in line.place(sigma.to(self.device), d.to(self.device)))
+        return torch.stack([x, y, line.heading(sigma.to(self.device)).cpu(), length, width], -1).numpy()
 
     def _tensor(self, values: Sequence[float] | np.ndarray) -> Tensor:
         return torch.tensor(np.asarray(values), dtype=torch.float32, device=self.device)

@@ -22,6 +22,7 @@ from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task
 from negopipe.simulation.street import Street
 from negopipe.simulation.streets import Streets
+from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.tree import map_tensors
 
 FEW = (
@@ -202,6 +203,23 @@ def test_everyone_heeds_the_next_narrow_place(chicane: tuple[RunConfig, Game]) -
     assert first.tolist() == [0.0, 0.0, 52.0, 52.0]
     assert last.tolist() == [12.0, 12.0, 64.0, 64.0]
     assert road.corridor_m(torch.ones(1)).item() == 64.0
+
+
+def test_the_oncoming_vehicle_meets_the_same_places_the_other_way_round(chicane: tuple[RunConfig, Game]) -> None:
+    passage = Passage.of(chicane[1].simulator.collisions)
+    for way, oncoming in ((0, 1), (1, 0)):
+        assert torch.equal(passage.their_waiting[way], passage.waiting[oncoming].flip(0))
+        assert torch.equal(passage.their_leaving[way], passage.leaving[oncoming].flip(0))
+        assert (
+            passage.waiting[way, 0]
+            < 0
+            < passage.leaving[way, 0]
+            < passage.waiting[way, 1]
+            < 52
+            < passage.leaving[way, 1]
+        )
+    s, along = torch.tensor([6.0, 30.0, 58.0]), torch.ones(3)  # in the first, on the way to the second, in it
+    assert passage.at(passage.their_waiting, s, along).tolist() == passage.waiting[1, [1, 0, 0]].tolist()
 
 
 def test_both_get_through_both(chicane: tuple[RunConfig, Game]) -> None:
