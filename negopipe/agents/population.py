@@ -97,7 +97,10 @@ class PolicyDriver:
 
 @schema
 class SelfDriver:
-    """The policy that is being trained or evaluated, on the other side; action: as for `PolicyDriver`."""
+    """The policy that is being trained or evaluated, on the other side; action: as for `PolicyDriver`.
+
+    A policy that is being trained learns from the actions that it draws here as well: self-play.
+    """
 
     kind: Literal["self"]
     action: Literal["greedy", "sample"]
@@ -140,6 +143,11 @@ class PopulationConfig:
         """Whether no driver reacts late or lapses."""
         return not any(planner.reaction_s[1] > 0 or planner.lapse_share > 0 for planner in self.planners.values())
 
+    @property
+    def has_learners(self) -> bool:
+        """Whether there is a driver from whose actions the policy learns."""
+        return any(is_learner(each.driver) for each in self.drivers.values())
+
     def check(self, dt_s: float, foresight: Foresight, remembered_s: float) -> Iterator[Problem]:
         """foresight: of the planner; remembered_s: age of the oldest state of another that a driver knows."""
         for name, planner in self.planners.items():
@@ -157,16 +165,24 @@ class PopulationConfig:
                 yield Problem(f"population.drivers.{name}.driver.kind", rule, each.driver.kind)
 
 
+def is_learner(driver: object) -> bool:
+    """Whether the actions of a driver are drawn by the policy that is being trained, which then learns from them."""
+    return isinstance(driver, SelfDriver) and driver.action == "sample"
+
+
 class Cast:
     """The population at work in worlds of one scenario.
 
     names: of the drivers; a task holds their indices
+    learned: drivers that a policy drives, by index
+    learners: of these, by index, those whose drawn actions are decisions of the policy that is being trained
     """
 
     def __init__(self, population: PopulationConfig, simulator: Simulator) -> None:
         drivers = [each.driver for each in population.drivers.values()]
         self.names = tuple(population.drivers)
         self.learned = {i: d for i, d in enumerate(drivers) if isinstance(d, PolicyDriver | SelfDriver)}
+        self.learners = tuple(index for index, driver in enumerate(drivers) if is_learner(driver))
         weights = torch.tensor([each.weight for each in population.drivers.values()], dtype=torch.float64)
         self._until = (weights.cumsum(0) / weights.sum()).float().to(simulator.road.device)
         self._planners = {i: d for i, d in enumerate(drivers) if isinstance(d, PlannerStyle)}

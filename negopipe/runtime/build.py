@@ -12,9 +12,11 @@ from negopipe.agents.learned import Learned, with_policies
 from negopipe.agents.population import SelfDriver
 from negopipe.config.compose import load_config
 from negopipe.errors import UserError
+from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import Game, build_game
 from negopipe.observation.occupancy_grid import ObservationConfig
 from negopipe.policy.actor_critic import ActorCritic, GridPolicy, PolicyConfig, grid_actor_critic
+from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.torch_settings import own_settings
 from negopipe.tracking.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint
@@ -50,15 +52,34 @@ def game_of(config: "RunConfig") -> Game:
     return with_learned(_built[key], config, None)
 
 
-def with_learned(game: Game, config: "RunConfig", own: ActorCritic | None) -> Game:
-    """The game with the population's policies; own: the one of the kind `self`."""
+def with_learned(
+    game: Game, config: "RunConfig", own: ActorCritic | None, driven_otherwise: tuple[int, ...] = ()
+) -> Game:
+    """The game with the population's policies; own: the one of the kind `self`.
+
+    driven_otherwise: drivers of the population, by index, that get no policy here
+    """
     learned = {}
     for index, driver in game.cast.learned.items():
+        if index in driven_otherwise:
+            continue
         policy = own if isinstance(driver, SelfDriver) else load_policy(driver.checkpoint, config)
         if policy is not None:
             policy = policy.to(game.planner.times.device)
             learned[index] = Learned(policy, config.policy.horizons_s, driver.action == "sample")
     return with_policies(game, learned)
+
+
+def training_env(config: "RunConfig", policy: ActorCritic, sampler: TaskSampler) -> NegotiationEnv:
+    """The worlds in which `policy` learns, with `algorithm.n_worlds` of them.
+
+    It also drives the social vehicles of the kind `self`. Where these draw their actions, it learns from them too.
+    """
+    game = game_of(config)
+    learners = game.cast.learners
+    game = with_learned(game, config, policy, learners)
+    n_worlds = config.algorithm.n_worlds
+    return NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds, learners)
 
 
 def build(config: "RunConfig") -> tuple[Game, ActorCritic]:

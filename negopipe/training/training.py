@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 from torch import Tensor, nn
 
 from negopipe.game.curriculum import Curriculum, CurriculumStageConfig
-from negopipe.game.environment import NegotiationEnv
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
-from negopipe.runtime.build import build, device_of, load_weights, save_policy
+from negopipe.runtime.build import build, device_of, load_weights, save_policy, training_env
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
 from negopipe.tensors.seeding import generator
@@ -54,8 +53,7 @@ class Training:
             TaskSampler(scenario, stage.families, tasks, game.cast.assign, scenario.training_streets)
             for stage in config.curriculum.stages
         ]
-        horizons_s = config.policy.horizons_s
-        self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds)
+        self.env = training_env(config, self.policy, self._samplers[0])
         self.running = RunningEpisodes.start(algorithm.n_worlds, device)
         self.weights_before = _copy(self.policy)
         self.is_at_stage_end = False
@@ -86,7 +84,7 @@ class Training:
     def _record(self, stage: CurriculumStageConfig, rollout: Rollout, metrics: dict[str, float]) -> dict:
         """Add the iteration to the learning curve and count it in its stage; returns its row of the curve."""
         row = self.curve.add(stage.name, rollout, metrics)
-        is_over = self.curriculum.finish_iteration(rollout.is_success[rollout.is_done].tolist())
+        is_over = self.curriculum.finish_iteration(rollout.is_success[rollout.is_over].tolist())
         self.is_at_stage_end = is_over or self.n_done == self.n_total
         return row
 
