@@ -82,6 +82,7 @@ class NegotiationEnv:
             final_info={
                 "social_start_distance_m": world.task.start_distance[which, NEAREST],
                 "style_horizon_s": world.task.style_horizon[which, NEAREST],
+                "social_driver": world.task.casting.driver[which, NEAREST],
             },
         )
 

@@ -1,6 +1,7 @@
 """The game, the policy and the device of a config; saving and loading of policies."""
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,14 +10,12 @@ from pydantic import TypeAdapter, ValidationError
 from torch import Tensor
 
 from negopipe.agents.learned import Learned, with_policies
-from negopipe.agents.population import SelfDriver
+from negopipe.agents.population import PolicyDriver
 from negopipe.config.compose import load_config
 from negopipe.errors import UserError
-from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import Game, build_game
 from negopipe.observation.occupancy_grid import ObservationConfig
 from negopipe.policy.actor_critic import ActorCritic, GridPolicy, PolicyConfig, grid_actor_critic
-from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.torch_settings import own_settings
 from negopipe.tracking.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint
@@ -53,33 +52,23 @@ def game_of(config: "RunConfig") -> Game:
 
 
 def with_learned(
-    game: Game, config: "RunConfig", own: ActorCritic | None, driven_otherwise: tuple[int, ...] = ()
+    game: Game, config: "RunConfig", own: ActorCritic | None, members: Mapping[int, ActorCritic] | None = None
 ) -> Game:
-    """The game with the population's policies; own: the one of the kind `self`.
+    """The game with the population's policies.
 
-    driven_otherwise: drivers of the population, by index, that get no policy here
+    own: the policy of the kinds `self` and `league`; None = there is none
+    members: in a training, the policies of the league by index in the cast. Learners are left out: the environment
+        lets `own` act for them
     """
     learned = {}
     for index, driver in game.cast.learned.items():
-        if index in driven_otherwise:
+        if members is not None and index in game.cast.learners:
             continue
-        policy = own if isinstance(driver, SelfDriver) else load_policy(driver.checkpoint, config)
+        policy = load_policy(driver.checkpoint, config) if isinstance(driver, PolicyDriver) else own
         if policy is not None:
-            policy = policy.to(game.planner.times.device)
+            policy = (members or {}).get(index, policy).to(game.planner.times.device)
             learned[index] = Learned(policy, config.policy.horizons_s, driver.action == "sample")
     return with_policies(game, learned)
-
-
-def training_env(config: "RunConfig", policy: ActorCritic, sampler: TaskSampler) -> NegotiationEnv:
-    """The worlds in which `policy` learns, with `algorithm.n_worlds` of them.
-
-    It also drives the social vehicles of the kind `self`. Where these draw their actions, it learns from them too.
-    """
-    game = game_of(config)
-    learners = game.cast.learners
-    game = with_learned(game, config, policy, learners)
-    n_worlds = config.algorithm.n_worlds
-    return NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds, learners)
 
 
 def build(config: "RunConfig") -> tuple[Game, ActorCritic]:

@@ -13,7 +13,7 @@ from negopipe.game.game import Game, build_game
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
 from negopipe.policy.actor_critic import ActorCritic
-from negopipe.runtime.build import build, training_env
+from negopipe.runtime.build import build
 from negopipe.simulation.scenario import TaskSampler
 
 N = 6
@@ -106,7 +106,7 @@ def rollout_of(*overrides: str, seed: int = 0) -> tuple[RunConfig, ActorCritic, 
     game, policy = build(config)
     families = {"mixture": config.scenario.families["mixture"]}
     sampler = TaskSampler(config.scenario, families, Generator().manual_seed(seed), game.cast.assign)
-    env = training_env(config, policy, sampler)
+    env = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, N, game.cast.learners)
     running = RunningEpisodes.start(N, torch.device("cpu"))
     rollout, _ = collect(env, policy, 30, Generator().manual_seed(seed), running)
     return config, policy, rollout
