@@ -5,13 +5,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
+from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.streets import Streets
 
 STEP_M = 1.0
 """Spacing of the places at which a route is checked, m."""
+
+NEAR_M = 0.3
+"""Distance to a kerb within which a footprint is checked exactly, m."""
 
 
 class RouteCheck(NamedTuple):
@@ -39,8 +42,21 @@ def check_routes(road: Streets, vehicle: VehicleConfig, clearance_m: float) -> R
     boxes = boxes_from_pose(x, y, on_route.yaw, vehicle.length_m + grown, vehicle.width_m + grown)
     x, y, cos, sin = (field[..., None] for field in boxes[:4])
     each = boxes._replace(x=x, y=y, cos=cos, sin=sin)
-    touches = (overlap_depth(each, road.parked_boxes(way)) > 0).any(-1) | road.is_off_road(boxes, way)
+    touches = (overlap_depth(each, road.parked_boxes(way)) > 0).any(-1)
+    is_near = _kerb_excess(road, boxes, s, way) > -NEAR_M
+    near = boxes._replace(**{name: getattr(boxes, name)[is_near] for name in ("x", "y", "cos", "sin")})
+    touches[is_near] |= road.is_off_road(near, way[is_near])
     return RouteCheck(road.sigma(s, way), touches, on_route.curvature)
+
+
+def _kerb_excess(road: Streets, boxes: Boxes, s: Tensor, way: Tensor) -> Tensor:
+    """[2B, K] m: about the depth over a kerb of vehicles on their routes; it takes no projection onto the line."""
+    d, d_prime, _ = road.route_offset(s, way)
+    kappa, _ = road.curvature(s, way)
+    tan = d_prime / (1 - kappa * d)
+    cos = torch.rsqrt(1 + tan**2)
+    reach = boxes.half_length * tan.abs() * cos + boxes.half_width * cos
+    return road.kerb_excess(s, way, d, reach, kappa.abs() * boxes.half_length**2 / 2)
 
 
 def is_drivable(road: Streets, vehicle: VehicleConfig, clearance_m: float, curvature_max_1pm: float) -> Tensor:
