@@ -7,6 +7,8 @@ import pandas as pd
 import pytest
 from test_pipeline import negopipe, only_run
 
+pytestmark = pytest.mark.slow  # every part of the line has tests of its own
+
 DRIVERS = {"planner", "cautious", "self"}
 
 

@@ -89,9 +89,9 @@ STATES = {
 
 def drive(build: AbstractContextManager, step: AbstractContextManager) -> list[np.ndarray]:
     """What three worlds show and pay in a fixed drive in which episodes end, which draws tasks."""
-    actions = np.random.default_rng(2).integers(0, 4, (30, 3))
+    actions = np.random.default_rng(2).integers(0, 4, (9, 3))
     with build:
-        envs = NarrowLaneVectorEnv(3, ("perception=noisy", "dynamics=bicycle", "scenario.episode_steps=25"))
+        envs = NarrowLaneVectorEnv(3, ("perception=noisy", "dynamics=bicycle", "scenario.episode_steps=6"))
         shown = [envs.reset(seed=3)[0]]
     with step:
         for action in actions:

@@ -76,6 +76,7 @@ def test_its_tasks_are_training_tasks_and_not_held_out(shown_config: RunConfig, 
         assert ((tasks.start_distance[:, 1:] >= low) & (tasks.start_distance[:, 1:] <= high)).all()
 
 
+@pytest.mark.slow
 def test_a_training_that_is_shown_something_resumes(tmp_path: Path) -> None:
     few = SHOWN.replace("n_tasks: 3", "n_tasks: 1").replace("rounds: 2", "rounds: 1")
     whole, killed = (drive(tmp_path / f"{len(d)}", few, deaths=d) for d in ((), (2,)))
