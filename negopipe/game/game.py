@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import torch
@@ -17,7 +17,7 @@ from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
 from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.simulator import Events, Simulator
-from negopipe.simulation.state import EGO, Motion, VehicleState, World
+from negopipe.simulation.state import EGO, Motion, World
 from negopipe.tensors.chunked import ChunkedFunction
 
 CHUNKS = {"cpu": 64, "cuda": 1024}
@@ -56,7 +56,7 @@ class Game:
     choose: World, horizon of the ego [E] (s) -> horizons [E, V] (s) of all vehicles
     plan: Perception, horizon [E, S] (s) -> Motion [E, S], by the planner, or by the rule of an agent's driver
     perceive: World -> Perception of all vehicles
-    step: World, VehicleState [E, V] -> World, Events
+    step: World, Motion [E, V] -> World, Events
     draw: Perception of one agent -> [E, F, H, W] uint8 grids
     drive: World, horizon [E, V] (s) -> World, Events: perceive, plan and step in one call, for all vehicles
     advance: World, horizon [E, V] (s) -> World, Events, grids of the ego: `drive` and `see` in one call
@@ -71,7 +71,7 @@ class Game:
     choose: Callable[[World, Tensor], Tensor]
     plan: Callable[[Perception, Tensor], Motion]
     perceive: Callable[[World], Perception]
-    step: Callable[[World, VehicleState], tuple[World, Events]]
+    step: Callable[[World, Motion], tuple[World, Events]]
     draw: Callable[[Perception], Tensor]
     drive: Callable[[World, Tensor], tuple[World, Events]]
     advance: Callable[[World, Tensor], tuple[World, Events, Tensor]]
@@ -99,8 +99,12 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     def plan(perception: Perception, horizon: Tensor) -> Motion:
         return cast.drive(perception, horizon, frenet.plan)
 
+    def step(world: World, motion: Motion) -> tuple[World, Events]:
+        moved, events = simulator.step(world, motion.state)
+        return replace(moved, last_horizon=motion.horizon), events
+
     def drive(world: World, horizon: Tensor) -> tuple[World, Events]:
-        return simulator.step(world, plan(sensor.perceive(world), horizon).state)
+        return step(world, plan(sensor.perceive(world), horizon))
 
     def advance(world: World, horizon: Tensor) -> tuple[World, Events, Tensor]:
         moved, events = drive(world, horizon)
@@ -122,7 +126,7 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         choose=World.horizons,
         plan=accelerate(plan),
         perceive=sensor.perceive,
-        step=accelerate(simulator.step),
+        step=accelerate(step),
         draw=accelerate(grid.draw),
         drive=accelerate(drive),
         advance=accelerate(advance),

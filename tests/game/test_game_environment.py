@@ -161,5 +161,5 @@ def test_compiled_equals_eager(config: RunConfig, game: Game) -> None:
         a, b = game.plan(seen, horizon), compiled.plan(seen, horizon)
         torch.testing.assert_close(a.state.position, b.state.position, atol=1e-4, rtol=0)
         n_differing_grids += float((game.draw(seen.of(EGO)) != compiled.draw(seen.of(EGO))).float().mean())
-        world, _ = compiled.step(world, a.state)
+        world, _ = compiled.step(world, a)
     assert n_differing_grids / 40 < 1e-4
