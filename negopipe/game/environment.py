@@ -39,7 +39,7 @@ class NegotiationEnv:
         self._observation = self.game.see(self.world)
 
     def observe(self) -> Tensor:
-        """[E, F, H, W] uint8, 0 or 1: the present grids of the ego."""
+        """[E, *obs]: the present observations of the ego."""
         return self._observation
 
     def step(self, action: Tensor) -> Transition:
@@ -74,9 +74,9 @@ class NegotiationEnv:
         self.sampler.generator.set_state(state["tasks"])
 
     def _start_again(self, moved: World, reached: Tensor, which: Tensor) -> Tensor:
-        """Continue from `moved`, with observations `reached` [E, F, H, W] and new tasks in the D worlds `which`.
+        """Continue from `moved`, with observations `reached` [E, *obs] and new tasks in the D worlds `which`.
 
-        Returns the final observations of the D episodes that are over, [D, F, H, W].
+        Returns the final observations of the D episodes that are over, [D, *obs].
         """
         self.world, self._observation = moved, reached
         final = reached[which]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from negopipe import environment
 from negopipe.agents.population import Cast, PopulationConfig
-from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
+from negopipe.observation.kinds import AnyObservationConfig, build_observation
 from negopipe.planner.config import PlannerConfig
 from negopipe.planner.frenet import FrenetPlanner
 from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
@@ -37,7 +37,7 @@ class GameConfig(Protocol):
     def planner(self) -> PlannerConfig: ...
 
     @property
-    def observation(self) -> ObservationConfig: ...
+    def observation(self) -> AnyObservationConfig: ...
 
     @property
     def perception(self) -> PerceptionConfig: ...
@@ -57,12 +57,12 @@ class Game:
     plan: Perception, horizon [E, S] (s) -> Motion [E, S], by the planner, or by the rule of an agent's driver
     perceive: World -> Perception of all vehicles
     step: World, Motion [E, V] -> World, Events
-    draw: Perception of one agent -> [E, F, H, W] uint8 grids
+    draw: Perception of one agent -> observations [E, *obs]
     drive: World, horizon [E, V] (s) -> World, Events: perceive, plan and step in one call, for all vehicles
-    advance: World, horizon [E, V] (s) -> World, Events, grids of the ego: `drive` and `see` in one call
-    see: World -> [E, F, H, W] uint8 grids of the ego: perceive and draw in one call
-    see_as: World, vehicle [E] int64 -> [E, F, H, W] uint8 grids of that vehicle
-    observation_shape: (F, H, W)
+    advance: World, horizon [E, V] (s) -> World, Events, observations of the ego: `drive` and `see` in one call
+    see: World -> observations of the ego [E, *obs]: perceive and draw in one call
+    see_as: World, vehicle [E] int64 -> observations of that vehicle [E, *obs]
+    observation_shape: shape of one observation, *obs
     """
 
     simulator: Simulator
@@ -77,23 +77,23 @@ class Game:
     advance: Callable[[World, Tensor], tuple[World, Events, Tensor]]
     see: Callable[[World], Tensor]
     see_as: Callable[[World, Tensor], Tensor]
-    observation_shape: tuple[int, int, int]
+    observation_shape: tuple[int, ...]
 
 
 def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compiled: bool = False) -> Game:
     """The game of a configuration; nothing in it depends on a task."""
-    scenario, observation = config.scenario, config.observation
+    scenario = config.scenario
     sensor = Sensor(
         config.perception,
         scenario.dt_s,
-        history_steps(observation, scenario.dt_s),
+        config.observation.history_steps(scenario.dt_s),
         config.population.is_attentive,
         config.planner.lowest_speed_mps,
     )
     simulator = Simulator(scenario, sensor, build_dynamics(config.dynamics, scenario.dt_s), device)
     frenet = FrenetPlanner(config.planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
     cast = Cast(config.population, simulator)
-    grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)
+    observation = build_observation(config.observation, simulator)
     size = CHUNKS[torch.device(device).type]
 
     def plan(perception: Perception, horizon: Tensor) -> Motion:
@@ -111,10 +111,10 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         return moved, events, see(moved)
 
     def see(world: World) -> Tensor:
-        return grid.draw(sensor.perceive(world).of(EGO))
+        return observation.draw(sensor.perceive(world).of(EGO))
 
     def see_as(world: World, vehicle: Tensor) -> Tensor:
-        return grid.draw(sensor.perceive(world).of_each(vehicle))
+        return observation.draw(sensor.perceive(world).of_each(vehicle))
 
     def accelerate(fn: Callable) -> Callable:
         return ChunkedFunction(fn, size, _compile if is_compiled else None)
@@ -127,12 +127,12 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         plan=accelerate(plan),
         perceive=sensor.perceive,
         step=accelerate(step),
-        draw=accelerate(grid.draw),
+        draw=accelerate(observation.draw),
         drive=accelerate(drive),
         advance=accelerate(advance),
         see=accelerate(see),
         see_as=accelerate(see_as),
-        observation_shape=grid.shape,
+        observation_shape=observation.shape,
     )
 
 

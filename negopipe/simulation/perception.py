@@ -174,7 +174,7 @@ class Sensor:
         """What the drivers go by: poses [E, V, O, 3], speeds [E, V, O] now and `accel_window_s` before, who is seen.
 
         A driver that reacts late goes by what it saw then. One that lapses sees nobody for a whole second. The past
-        that the grids show is not touched: late and lapsing drivers follow a planner and see no grids.
+        that observations show is not touched: late and lapsing drivers follow a planner and use no observation.
         """
         if self._is_attentive:
             return seen.pose[:, 0], seen.speed[:, 0], seen.speed[:, self._window], seen.is_seen[:, 0]
