@@ -82,14 +82,7 @@ class Game:
 
 def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compiled: bool = False) -> Game:
     """The game of a configuration; nothing in it depends on a task."""
-    scenario = config.scenario
-    sensor = Sensor(
-        config.perception,
-        scenario.dt_s,
-        config.observation.history_steps(scenario.dt_s),
-        config.population.is_attentive,
-        config.planner.lowest_speed_mps,
-    )
+    scenario, sensor = config.scenario, _sensor(config)
     simulator = Simulator(scenario, sensor, build_dynamics(config.dynamics, scenario.dt_s), device)
     frenet = FrenetPlanner(config.planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
     cast = Cast(config.population, simulator)
@@ -133,6 +126,18 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         see=accelerate(see),
         see_as=accelerate(see_as),
         observation_shape=observation.shape,
+    )
+
+
+def _sensor(config: GameConfig) -> Sensor:
+    """The sensor of every vehicle, which remembers as much as the observation shows."""
+    dt_s = config.scenario.dt_s
+    return Sensor(
+        config.perception,
+        dt_s,
+        config.observation.history_steps(dt_s),
+        config.population.is_attentive,
+        config.planner.lowest_speed_mps,
     )
 
 

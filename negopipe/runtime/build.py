@@ -142,7 +142,8 @@ def _made_with(metadata: dict[str, Any], part: str) -> dict[str, Any]:
 def _check_match(path: Path, metadata: dict[str, Any], config: "RunConfig") -> None:
     for part in ("policy", "observation"):
         made_with, wanted = _made_with(metadata, part), _plain(getattr(config, part))
-        differing = [key for key in wanted if made_with.get(key) != wanted[key] and key not in RESULT_NEUTRAL_KEYS]
+        keys = [key for key in ("kind", *wanted) if key not in RESULT_NEUTRAL_KEYS]
+        differing = [key for key in keys if made_with.get(key) != wanted[key]]
         if differing:
             key = differing[0]
             raise UserError(f"{part}.{key} must be {made_with.get(key)} as in the checkpoint {path}, got {wanted[key]}")
