@@ -40,8 +40,7 @@ def encounter(road: Road, length_m: float, perception: Perception) -> Encounter:
     """
     own = road.to_route(perception.own, perception.direction)
     viewed = perception.direction[..., None]
-    other_direction = road.direction_of(perception.other, viewed)
-    other = road.to_route(perception.other, other_direction)
+    other_direction, other = road.to_own_route(perception.other, viewed)
     apart = road.corridor_m(viewed) - other.s - own.s[..., None]
     is_opposite = other_direction != viewed
     is_oncoming = perception.is_seen & is_opposite & (apart > -length_m)

@@ -189,7 +189,8 @@ def _memory(config: RunConfig) -> Iterator[Memory]:
     yield world_memory(config.algorithm.n_worlds, n_vehicles, remembered, config.dynamics.delay_steps(dt_s))
     layers = layers_of(config.policy, observation.layout)
     yield layers.memory
-    yield from config.algorithm.memory(layers, observed)
+    n_agents = n_vehicles if config.population.has_learners else 1
+    yield from config.algorithm.memory(layers, observed, n_agents)
     yield config.evaluation.memory(scenario)
     if "train" in stages:
         yield from config.curriculum.memory(n_steps, observed)

@@ -45,8 +45,8 @@ class NaturalGradientConfig(UpdateConfig):
 
     kfac: KfacConfig
 
-    def memory(self, layers: Layers, observed: Observed) -> Iterator[Memory]:
-        yield from super().memory(layers, observed)
+    def memory(self, layers: Layers, observed: Observed, n_agents: int) -> Iterator[Memory]:
+        yield from super().memory(layers, observed, n_agents)
         yield from self.kfac.memory(layers, self.n_samples)
 
 

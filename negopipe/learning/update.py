@@ -76,13 +76,18 @@ class UpdateConfig:
         """Decisions of a minibatch, at most."""
         return min(self.minibatch_size, self.n_worlds * self.n_steps)
 
-    def memory(self, layers: Layers, observed: Observed) -> Iterator[Memory]:
-        """Memory of an iteration, for a network of such layers and such observations."""
-        n_bytes = 2 * self.n_worlds * self.n_steps * observed.n_bytes  # as collected, and in the order of learning
-        yield Memory("a rollout", n_bytes, ("algorithm.n_worlds", "algorithm.n_steps", *observed.keys))
+    def memory(self, layers: Layers, observed: Observed, n_agents: int) -> Iterator[Memory]:
+        """Memory of an iteration, for a network of such layers and such observations.
+
+        n_agents: vehicles of a world that the policy may drive
+        """
+        n_bytes = 2 * self.n_worlds * n_agents * self.n_steps * observed.n_bytes  # as collected, and as learnt from
+        keys = ("algorithm.n_worlds", "algorithm.n_steps")
+        agent_keys = ("scenario.n_social",) if n_agents > 1 else ()
+        yield Memory("a rollout", n_bytes, (*keys, *agent_keys, *observed.keys))
         n_bytes = self.n_samples * (observed.n_numbers + layers.n_outputs) * FLOAT_BYTES * N_COPIES
-        keys = ("algorithm.minibatch_size", "algorithm.n_worlds", "algorithm.n_steps")
-        yield Memory("a minibatch", n_bytes, tuple(dict.fromkeys((*keys, *observed.keys, *layers.position_keys))))
+        seen = dict.fromkeys((*observed.keys, *layers.position_keys))
+        yield Memory("a minibatch", n_bytes, ("algorithm.minibatch_size", *keys, *seen))
 
     def step_share(self, progress: float) -> float:
         """Length of the steps relative to the first ones, after the share `progress` of the training."""
