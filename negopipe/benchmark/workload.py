@@ -28,7 +28,7 @@ _CROSSING = 32  # first and last column of a box in a row of cells
 _WORD = 13  # the same as bits of one machine word
 _CELL = 1  # shift, mask, product and mask of four at a time
 
-_STATE_FLOATS = 12  # position 2, yaw, speed, acceleration, curvature; of the vehicle and of its plan
+_STATE_FLOATS = 13  # position 2, yaw, speed, acceleration, curvature; of the vehicle and of its plan; last horizon
 _POSE_FLOATS = 4  # with the speed
 _TASK_FLOATS = 8
 _FLAG_BYTES = 3 + 8  # has reached, has collided, has switched; steps at rest
