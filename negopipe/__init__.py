@@ -7,12 +7,12 @@ The map, lowest first: a package imports only what stands above it here, and its
     environment   environment variables and the user's home
     schema        how a component declares its configuration
     tensors       batched tensors without anything of driving: trees, chunks, random streams, settings of torch
-    policy        the network
+    policy        the networks
     learning      ACKTR, PPO and A2C: rollout, advantage, update, K-FAC; tensors only
     maps          real streets: lanelet2 and CommonRoad files in, CommonRoad scenarios out
     simulation    the rules of the game: state, geometry, street, tasks, perception, dynamics, collisions, simulator
     planner       Frenet candidates, prediction of the others, the choice
-    observation   occupancy grids
+    observation   occupancy grids; rows of numbers of objects
     agents        who drives: planners with horizons, drivers by rule, policies; the population of social drivers
     game          one decision, the reward, task distributions by stages, batched worlds for a learner
     tracking      a run's folder, checkpoints, CSV files, the store; sync: journal -> delivery -> MLflow
@@ -30,8 +30,8 @@ The map, lowest first: a package imports only what stands above it here, and its
 
 One decision (E worlds, V vehicles)
     action [E] -> horizon [E, V] (ego from the action, social from its style) -> perceive -> predict
-    -> one `plan` for all E*V -> `step` 0.2 s -> events -> reward -> grids of the state reached -> new tasks where
-    an episode is over
+    -> one `plan` for all E*V -> `step` 0.2 s -> events -> reward -> observation of the state reached -> new tasks
+    where an episode is over
 
 One iteration
     the stage's task distribution -> collect -> advantages -> the algorithm's update -> log -> (stage's end) checkpoint

@@ -39,6 +39,14 @@ class Memory(NamedTuple):
     keys: tuple[str, ...]
 
 
+class Observed(NamedTuple):
+    """Size of one observation: its numbers, their bytes, and the dotted keys that these depend on."""
+
+    n_numbers: int
+    n_bytes: int
+    keys: tuple[str, ...]
+
+
 Times = Mapping[str, Iterable[float]]
 """Times in seconds, by key."""
 

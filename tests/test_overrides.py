@@ -44,8 +44,7 @@ LIMIT_S, LIMIT_BYTES = 120, 6 * 2**30
 
 TINY = (
     "+experiment=smoke", "device=cpu", "n_threads=1",
-    "policy.conv=[{channels: 4, kernel: 8, stride: 4}, {channels: 4, kernel: 4, stride: 2}]",
-    "policy.encoder_width=16", "policy.head_widths=[8]", "policy.precision=float32", "algorithm.n_worlds=3",
+    "policy.head_widths=[8]", "algorithm.n_worlds=3",
     "algorithm.n_steps=4", "algorithm.minibatch_size=6", "algorithm.kfac.inverse_interval=2",
     "scenario.episode_steps=3", "evaluation.n_episodes=2", "behaviour_map.n_episodes=2", "oracle.n_episodes=2",
     "oracle.population=2", "oracle.settings=[push]", "behaviour_map.horizons_s=[0.0,2.0]",
@@ -55,7 +54,15 @@ TINY = (
     "benchmark.n_latencies=2",
 )  # fmt: skip
 
+GRIDS = (
+    "policy.conv=[{channels: 4, kernel: 8, stride: 4}, {channels: 4, kernel: 4, stride: 2}]",
+    "policy.encoder_width=16", "policy.precision=float32",
+)  # fmt: skip
+OBJECTS = ("observation=objects", "policy=objects", "policy.trunk_widths=[16]", "policy.own_widths=[8]")
+"""The two kinds of observation with a tiny network each."""
+
 OTHER_OPTIONS = (
+    *GRIDS,
     "scenario=bent_street", "perception=noisy", "dynamics=bicycle", "planner/prediction=constant_acceleration",
     "reward=strict", "curriculum=three_stages",
 )  # fmt: skip
@@ -83,7 +90,7 @@ def nodes(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 def all_keys() -> dict[str, tuple[Options, Any]]:
     """Key -> the options that it is a key of, and its value there."""
     keys: dict[str, tuple[Options, Any]] = {}
-    for options in (OTHER_OPTIONS, ()):  # a key of both is tested with the defaults
+    for options in (OTHER_OPTIONS, OBJECTS, GRIDS):  # a key of several is tested with the defaults
         for key, value in nodes(OmegaConf.to_container(composed((*TINY, *options)), resolve=True)):
             stage = STAGE_OF.get(key.partition(".")[0])
             runs = (f"stages=[{stage}]",) if stage else ()

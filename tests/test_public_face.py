@@ -16,7 +16,7 @@ import negopipe
 from negopipe.config.compose import compose_config
 from negopipe.envs.gymnasium import NarrowLaneEnv, NarrowLaneVectorEnv
 from negopipe.errors import UserError
-from negopipe.policy.actor_critic import GridPolicy
+from negopipe.policy.actor_critic import Policy
 from negopipe.runtime.build import build, save_policy
 
 ROOT = Path(__file__).parent.parent
@@ -133,7 +133,7 @@ def test_act_takes_grids_of_the_environment_and_of_the_network() -> None:
     assert policy.act(grids[0]) == actions[0]
     assert policy.act(grids[:0]).shape == (0,)
     for wrong in (grids[0, 0], grids[:, :2], 3):
-        with pytest.raises(UserError, match=r"grids must be an array of shape \(4, 84, 84\)"):
+        with pytest.raises(UserError, match=r"observation must be an array of shape \(4, 84, 84\)"):
             policy.act(wrong)  # type: ignore[arg-type]
 
 
@@ -147,7 +147,7 @@ def test_load_policy_builds_the_network_of_the_checkpoint(tmp_path: Path) -> Non
         negopipe.load_policy(tmp_path / "weights"),
         negopipe.load_policy(str(tmp_path / "weights"), config),
     ):
-        assert isinstance(policy, GridPolicy)
+        assert isinstance(policy, Policy)
         assert not policy.training
         assert policy.dtype == torch.float32
         assert all(torch.equal(a, b) for a, b in zip(policy.parameters(), trained.parameters(), strict=True))
@@ -189,4 +189,4 @@ def test_a_users_type_checker_knows_the_face(tmp_path: Path) -> None:
     assert kinds == ["arg-type", "arg-type", "call-arg", "arg-type", "attr-defined"]
     notes = [line for line in lines if "Revealed type" in line]
     assert "int" in notes[0]
-    assert "GridPolicy" in notes[1]
+    assert "Policy" in notes[1]

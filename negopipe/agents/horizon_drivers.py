@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 ACTIONS = 0x5A17
 """Offset of the key from which actions are drawn, apart from the other draws of an episode."""
 BATCH = 64
-"""Grids per call of the network; constant, since the last bits of its output may depend on the number."""
+"""Observations per call of the network; constant, since the last bits of its output may depend on the number."""
 
 
 def by_horizon(game: "Game", choose_horizon: ChooseHorizon) -> MakeDriver:
@@ -29,13 +29,13 @@ def by_horizon(game: "Game", choose_horizon: ChooseHorizon) -> MakeDriver:
 def adaptive_planner(
     policy: ActorCritic, game: "Game", horizons_s: tuple[float, ...], episode_key: Tensor | None = None
 ) -> ChooseHorizon:
-    """The trained policy: the most probable horizon for the grids.
+    """The trained policy: the most probable horizon for what the vehicle observes.
 
     episode_key: [E] int64, key from which horizons are drawn by their probabilities instead. The choice counts its
         decisions: it is made anew for each batch of episodes that start together, and they are driven in lockstep
     """
     horizons = torch.tensor(horizons_s, device=game.planner.times.device)
-    logits_of = ChunkedFunction(lambda grids: policy(grids)[0], BATCH, lambda fn: fn)
+    logits_of = ChunkedFunction(lambda observation: policy(observation)[0], BATCH, lambda fn: fn)
     decisions = count()
 
     @torch.no_grad()

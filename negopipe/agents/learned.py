@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Learned(NamedTuple):
     """A policy that drives social vehicles.
 
-    policy: network for the grids of the game
+    policy: network for the observations of the game
     horizons_s: its choices, s
     is_sampled: horizons are drawn by their probabilities, else the most probable one is taken
     """
@@ -60,4 +60,4 @@ def with_policies(game: "Game", learned: Mapping[int, Learned]) -> "Game":
 
 
 def _logits(policy: ActorCritic) -> Callable[[Tensor], Tensor]:
-    return lambda grids: policy(grids)[0]
+    return lambda observation: policy(observation)[0]

@@ -84,7 +84,7 @@ class PlannerStyle:
 class PolicyDriver:
     """A trained policy on the other side.
 
-    checkpoint: as the run's `checkpoint`; its network and its grids must be those of the config
+    checkpoint: as the run's `checkpoint`; its network and its observation must be those of the config
     action: greedy = the most probable horizon; sample = drawn by the probabilities
     """
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import torch
 from pydantic import Field, model_validator
 
-from negopipe.checks import N_COPIES, Memory
+from negopipe.checks import N_COPIES, Memory, Observed
 from negopipe.schema import Distinct, PositiveFloat, PositiveInt, schema
 from negopipe.tensors.timing import block_seconds
 
@@ -44,10 +44,10 @@ class BenchmarkConfig:
             raise ValueError(f"base_n_worlds must be among n_worlds = {among}, got {self.base_n_worlds}")
         return self
 
-    def memory(self, n_observation: int) -> Memory:
-        """Memory of the observations of all worlds, `n_observation` bytes each."""
-        n_bytes = max(self.n_worlds) * n_observation * N_COPIES
-        return Memory("the benchmark", n_bytes, ("benchmark.n_worlds", "observation.n_frames", "observation.n_cells"))
+    def memory(self, observed: Observed) -> Memory:
+        """Memory of the observations of all worlds."""
+        n_bytes = max(self.n_worlds) * observed.n_bytes * N_COPIES
+        return Memory("the benchmark", n_bytes, ("benchmark.n_worlds", *observed.keys))
 
 
 def seconds_per_call(call: Callable[[], Any], config: BenchmarkConfig, device: torch.device) -> float:

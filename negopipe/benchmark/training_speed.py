@@ -50,8 +50,8 @@ def _measure(config: "RunConfig", training: Training, run: TrackedRun) -> tuple[
 
     Iterations and bare passes alternate, so that a slow moment of the machine affects both.
     """
-    device, shape = device_of(config), training.env.game.observation_shape
-    bare = iteration_passes(training.policy, config.algorithm, shape, device)
+    device, layout = device_of(config), config.observation.layout
+    bare = iteration_passes(training.policy, config.algorithm, layout, device)
     bare()
     iterations, notes, shares = [], [], []
     for _ in range(config.benchmark.n_iterations):

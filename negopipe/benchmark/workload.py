@@ -1,12 +1,15 @@
 """The work of one decision, and the physical limit of decisions per second that follows from it.
 
 The count covers the planner and the grids, fused into one pass: operations on single numbers, and those bytes that must
-be read or written between two decisions. The network and the trackers are not part of it.
+be read or written between two decisions. The network and the trackers are not part of it, nor is the arithmetic of an
+observation of objects, which is little.
 """
 
 from dataclasses import dataclass
 
 from negopipe.game.game import Game
+from negopipe.observation.kinds import AnyObservationConfig
+from negopipe.observation.occupancy_grid import OccupancyGridConfig
 from negopipe.simulation.scenario import ScenarioConfig
 
 OVERLAP = 49
@@ -25,7 +28,7 @@ _CROSSING = 32  # first and last column of a box in a row of cells
 _WORD = 13  # the same as bits of one machine word
 _CELL = 1  # shift, mask, product and mask of four at a time
 
-_STATE_FLOATS = 12  # position 2, yaw, speed, acceleration, curvature; of the vehicle and of its plan
+_STATE_FLOATS = 13  # position 2, yaw, speed, acceleration, curvature; of the vehicle and of its plan; last horizon
 _POSE_FLOATS = 4  # with the speed
 _TASK_FLOATS = 8
 _FLAG_BYTES = 3 + 8  # has reached, has collided, has switched; steps at rest
@@ -49,7 +52,7 @@ class Workload:
         return min(gflops * 1e9 / self.flops, gb_per_s * 1e9 / self.bytes)
 
 
-def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
+def decision_workload(game: Game, scenario: ScenarioConfig, observation: AnyObservationConfig) -> Workload:
     """Work of one decision at the configured sizes.
 
     With V vehicles, O = V - 1 others, L lateral and C longitudinal candidates, T times, S stations, K stations around
@@ -59,19 +62,24 @@ def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
         flops = V [C T sample + L S (station + R row)
                    + O T (L K (check + overlap + blocked) + L C within + predict)]
               + V (O + P) overlap + (F V + P + B) H (crossing + words * word) + F H W cell
-        bytes = 2 V (state + J pose + flags) + V task + 3 counters + F H W
+        bytes = 2 V (state + J pose + flags) + V task + 3 counters + observation
     """
     n_vehicles = 1 + scenario.n_social
     n_others, n_parked = scenario.n_social, game.simulator.road.parked_boxes().x.shape[-1]
     flops = n_vehicles * (_plan(game, n_others) + (n_others + n_parked) * OVERLAP)
-    n_frames, height, width = game.observation_shape
-    n_words = -(-width // _WORD_BITS)
-    n_beyond_kerbs = game.simulator.road.off_road_boxes().x.shape[-1]
-    n_rows = (n_frames * n_vehicles + n_parked + n_beyond_kerbs) * height  # of boxes
-    flops += n_rows * (_CROSSING + n_words * _WORD) + n_frames * height * width * _CELL
+    if isinstance(observation, OccupancyGridConfig):
+        flops += _grids(game, observation, n_vehicles)
     state = 4 * (_STATE_FLOATS + (1 + game.simulator.sensor.memory_steps) * _POSE_FLOATS) + _FLAG_BYTES
     moved = 2 * (n_vehicles * state + _WORLD_BYTES) + n_vehicles * 4 * _TASK_FLOATS
-    return Workload(float(flops), float(moved + n_frames * height * width))
+    return Workload(float(flops), float(moved + observation.observed.n_bytes))
+
+
+def _grids(game: Game, observation: OccupancyGridConfig, n_vehicles: int) -> int:
+    """Operations of drawing the grids of one agent."""
+    road, (n_frames, height, width) = game.simulator.road, observation.shape
+    n_parked, n_beyond_kerbs = (boxes.x.shape[-1] for boxes in (road.parked_boxes(), road.off_road_boxes()))
+    n_rows = (n_frames * n_vehicles + n_parked + n_beyond_kerbs) * height  # of boxes
+    return n_rows * (_CROSSING + -(-width // _WORD_BITS) * _WORD) + n_frames * height * width * _CELL
 
 
 def _plan(game: Game, n_others: int) -> int:

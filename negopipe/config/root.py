@@ -22,10 +22,9 @@ from negopipe.game.curriculum import CurriculumConfig
 from negopipe.game.game import CHUNKS
 from negopipe.game.reward import RewardConfig
 from negopipe.learning.learner import AlgorithmConfig
-from negopipe.observation.occupancy_grid import ObservationConfig, history_steps
+from negopipe.observation.kinds import ObservationConfig
 from negopipe.planner.config import PlannerConfig
-from negopipe.policy.actor_critic import PolicyConfig
-from negopipe.policy.size import check_policy, layer_sizes, network_memory
+from negopipe.policy.kinds import PolicyConfig, check_policy, layers_of
 from negopipe.report.page import ReportConfig
 from negopipe.schema import FileName, PathText, PositiveInt, Seed, schema
 from negopipe.search.oracle import OracleConfig
@@ -155,9 +154,9 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
     yield from config.observation.check(dt_s)
     yield from config.perception.check(dt_s)
     yield from config.dynamics.check(dt_s)
-    yield from check_policy(config.policy, config.observation.n_cells, dt_s, foresight)
+    yield from check_policy(config.policy, config.observation.layout, dt_s, foresight)
     yield from scenario.check(foresight)
-    remembered_s = history_steps(config.observation, dt_s) * dt_s - config.perception.accel_window_s
+    remembered_s = config.observation.history_steps(dt_s) * dt_s - config.perception.accel_window_s
     yield from config.population.check(dt_s, foresight, max(0.0, remembered_s))
     for stage in sorted(WITHOUT_POLICY & stages):
         yield from config.population.check_self(f"the stage {stage}")
@@ -183,24 +182,24 @@ def _memory(config: RunConfig) -> Iterator[Memory]:
     """Memory estimates of the components."""
     scenario, observation, stages = config.scenario, config.observation, set(config.stages)
     dt_s, n_vehicles, n_actions = scenario.dt_s, 1 + scenario.n_social, len(config.policy.horizons_s)
-    n_chunk, n_steps, n_seen = CHUNKS["cpu"], scenario.episode_steps, observation.n_bytes
+    n_chunk, n_steps, observed = CHUNKS["cpu"], scenario.episode_steps, observation.observed
     yield config.planner.memory(scenario, n_chunk)
     yield observation.memory(scenario.most_parked + n_vehicles, n_chunk)
-    remembered = config.perception.memory_steps(dt_s, history_steps(observation, dt_s))
+    remembered = config.perception.memory_steps(dt_s, observation.history_steps(dt_s))
     yield world_memory(config.algorithm.n_worlds, n_vehicles, remembered, config.dynamics.delay_steps(dt_s))
-    layers = layer_sizes(config.policy, observation.n_frames, observation.n_cells)
-    yield network_memory(layers)
+    layers = layers_of(config.policy, observation.layout)
+    yield layers.memory
     n_agents = n_vehicles if config.population.has_learners else 1
-    yield from config.algorithm.memory(layers, n_seen, n_agents)
+    yield from config.algorithm.memory(layers, observed, n_agents)
     yield config.evaluation.memory(scenario)
     if "train" in stages:
-        yield from config.curriculum.memory(n_steps, n_seen)
+        yield from config.curriculum.memory(n_steps, observed)
     if "behaviour_map" in stages:
         yield config.behaviour_map.memory(scenario)
     if "oracle" in stages:
         yield config.oracle.memory(n_actions, n_steps)
     if "benchmark" in stages:
-        yield config.benchmark.memory(n_seen)
+        yield config.benchmark.memory(observed)
 
 
 def _size_at(config: RunConfig, key: str) -> str:

@@ -10,8 +10,9 @@ or, where only gymnasium is to be called,
     env = gymnasium.make("negopipe/NarrowLane-v0", overrides=["scenario.n_social=2"])
     envs = gymnasium.make_vec("negopipe/NarrowLane-v0", num_envs=64, vectorization_mode="vector_entry_point")
 
-Observations are the occupancy grids, uint8, 0 = free and 255 = occupied, as image policies expect them. Actions are
-indices into `policy.horizons_s`. Tasks are drawn from the families that `evaluation.settings` names. `overrides` are
+Observations are the occupancy grids, uint8, 0 = free and 255 = occupied, as image policies expect them, or with the
+overrides observation=objects and policy=objects a row of numbers, float32, for policies of vectors. Actions are indices
+into `policy.horizons_s`. Tasks are drawn from the families that `evaluation.settings` names. `overrides` are
 those of the command line that change one of these.
 
 An episode depends on overrides, seed and actions only, not on the process's settings of torch, NumPy or Hydra, which
@@ -35,6 +36,8 @@ from negopipe.errors import UserError, abbreviate
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import build_game
 from negopipe.learning.rollout import Transition
+from negopipe.observation.objects import ObjectsConfig
+from negopipe.observation.occupancy_grid import OccupancyGridConfig
 from negopipe.runtime.build import with_learned
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.torch_settings import own_settings
@@ -119,13 +122,18 @@ class _Worlds:
 
     def _spaces(self) -> tuple[Box, Discrete]:
         """Observation and action space of one world."""
-        return Box(0, OCCUPIED, self._worlds.game.observation_shape, np.uint8), Discrete(self._worlds.n_actions)
+        shown, actions = self._config.observation, Discrete(self._worlds.n_actions)
+        match shown:
+            case OccupancyGridConfig():
+                return Box(0, OCCUPIED, shown.shape, np.uint8), actions
+            case ObjectsConfig():
+                return Box(-shown.scales.largest, shown.scales.largest, shown.shape, np.float32), actions
 
     def _restart(self, random: np.random.Generator, is_chosen: torch.Tensor | None = None) -> np.ndarray:
-        """Start new tasks and return their observations, [E, F, H, W]."""
+        """Start new tasks and return their observations, [E, *obs]."""
         self._worlds.sampler.generator.manual_seed(int(random.integers(2**62)))
         self._worlds.restart(is_chosen)
-        return _grids(self._worlds.observe())
+        return _shown(self._worlds.observe())
 
     def _drive(self, action: Any) -> Transition:
         """Transition by the actions [E]; UserError if they are no actions."""
@@ -179,7 +187,7 @@ class NarrowLaneEnv(_Worlds, gymnasium.Env[np.ndarray, np.int64]):
         reached = self._drive(action)
         info = {"is_success": bool(reached.is_success), "is_collision": bool(reached.is_collision)}
         is_over = bool(reached.is_terminated | reached.is_truncated)
-        observation = _grids(reached.final_observation if is_over else reached.observation)[0]
+        observation = _shown(reached.final_observation if is_over else reached.observation)[0]
         return (
             observation,
             float(reached.reward),
@@ -232,7 +240,7 @@ class NarrowLaneVectorEnv(_Worlds, gymnasium.vector.VectorEnv[np.ndarray, np.nda
         terminated, truncated = reached.is_terminated.numpy(), reached.is_truncated.numpy()
         info = self._final_info(reached, terminated | truncated)
         reward = reached.reward.numpy().astype(np.float64)
-        return _grids(reached.observation), reward, terminated, truncated, info
+        return _shown(reached.observation), reward, terminated, truncated, info
 
     def _mask(self, mask: Any) -> torch.Tensor:
         is_mask = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
@@ -246,9 +254,9 @@ class NarrowLaneVectorEnv(_Worlds, gymnasium.vector.VectorEnv[np.ndarray, np.nda
         if not is_done.any():
             return {}
         final_obs = np.full(self.num_envs, None, dtype=object)
-        grids = _grids(reached.final_observation)
+        final = _shown(reached.final_observation)
         for row, world in enumerate(is_done.nonzero()[0]):
-            final_obs[world] = grids[row]
+            final_obs[world] = final[row]
         final_info = {
             "is_success": reached.is_success.numpy(),
             "_is_success": is_done,
@@ -263,9 +271,9 @@ class NarrowLaneVectorEnv(_Worlds, gymnasium.vector.VectorEnv[np.ndarray, np.nda
         }
 
 
-def _grids(observation: torch.Tensor) -> np.ndarray:
-    """Grids of 0 and 255 from grids of 0 and 1."""
-    return (observation * OCCUPIED).numpy()
+def _shown(observation: torch.Tensor) -> np.ndarray:
+    """Grids of 0 and 255 from grids of 0 and 1; rows of numbers are shown as they are, copied."""
+    return (observation * (OCCUPIED if observation.dtype == torch.uint8 else 1)).numpy()
 
 
 def _check_render_mode(render_mode: str | None) -> None:

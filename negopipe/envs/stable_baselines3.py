@@ -4,6 +4,8 @@ import negopipe
 from negopipe.envs.stable_baselines3 import Sb3VecEnv
 from stable_baselines3 import PPO
 PPO("CnnPolicy", Sb3VecEnv(negopipe.make_vec_env(64)), seed=1).learn(100_000)
+
+With the overrides observation=objects and policy=objects of `make_vec_env` it is an "MlpPolicy".
 """
 
 from collections.abc import Mapping, Sequence

@@ -94,7 +94,7 @@ def drive_episodes(
 def warm_up(game: Game, make_ego: MakeDriver, tasks: Task) -> None:
     """Make a first decision of all drivers in `tasks`, which compiles everything that driving needs."""
     world = game.simulator.reset(tasks)
-    game.step(world, _motion(game, make_ego(tasks.noise_seed), world).state)
+    game.step(world, _motion(game, make_ego(tasks.noise_seed), world))
 
 
 def _motion(game: Game, ego: Driver, world: World) -> Motion:
@@ -150,7 +150,7 @@ def _decide(
     """
     before = map_tensors(lambda field: field.index_select(0, which), world)
     motion = _motion(game, ego, before)
-    moved, events = game.step(before, motion.state)
+    moved, events = game.step(before, motion)
     moved = tree_where(is_running, moved, before)
     world = map_tensors(lambda field, new: field.index_copy(0, which, new), world, moved)
     events = map_tensors(lambda field: field & is_running, events)

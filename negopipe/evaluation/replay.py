@@ -17,18 +17,21 @@ from negopipe.policy.actor_critic import ActorCritic
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.state import Task
 
+N_GRID_AXES = 3
+"""Axes of an observation that is grids: frames, rows, columns."""
+
 
 @dataclass(frozen=True)
 class PolicyTrace:
     """Inputs and outputs of the policy in one episode of T decisions.
 
-    grids: [T, F, H, W] uint8, occupancy grids as `OccupancyGrid.draw` makes them
+    grids: [T, F, H, W] uint8, occupancy grids as `OccupancyGrid.draw` makes them; None where the policy sees no grids
     probability: [T, A] float32, probability of each horizon
     horizons_s: [A], s
     frame_interval_s: time between frames, s
     """
 
-    grids: np.ndarray
+    grids: np.ndarray | None
     probability: np.ndarray
     horizons_s: tuple[float, ...]
     frame_interval_s: float
@@ -66,19 +69,20 @@ def record_policy(
     reward_config: RewardConfig,
 ) -> list[PolicyTrace]:
     """Inputs and outputs of the policy in E episodes with the known choices `horizon_s` (see `replay`)."""
-    grids: list[np.ndarray] = []
+    seen: list[np.ndarray] = []
     probability: list[np.ndarray] = []
 
     @torch.no_grad()
     def watch(perception: Perception) -> None:
         drawn = game.draw(perception)
-        grids.append(drawn.cpu().numpy())
+        seen.append(drawn.cpu().numpy())
         probability.append(policy(drawn)[0].softmax(-1).float().cpu().numpy())
 
     replay(game, tasks, horizon_s, reward_config, ("watched", "replay"), watch)
+    has_grids = len(game.observation_shape) == N_GRID_AXES
     return [
         PolicyTrace(
-            np.stack([drawn[episode] for drawn in grids[: len(own)]]),
+            np.stack([drawn[episode] for drawn in seen[: len(own)]]) if has_grids else None,
             np.stack([each[episode] for each in probability[: len(own)]]),
             horizons_s,
             frame_interval_s,

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from negopipe.checks import Foresight, Memory, Problem, check_horizons
+from negopipe.checks import Foresight, Memory, Observed, Problem, check_horizons
 from negopipe.game.reward import RewardConfig
 from negopipe.learning.demonstrations import DemonstrationsConfig
 from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
@@ -97,14 +97,13 @@ class CurriculumConfig:
         if self.demonstrations is not None:
             yield from paid.check_searchable("reward", "curriculum.demonstrations")
 
-    def memory(self, episode_steps: int, n_observation: int) -> Iterator[Memory]:
-        """Memory of the demonstrations, `n_observation` bytes each, with those that one iteration shows."""
+    def memory(self, episode_steps: int, observed: Observed) -> Iterator[Memory]:
+        """Memory of the demonstrations, with those that one iteration shows."""
         if self.demonstrations is not None:
             n_tasks = self.demonstrations.n_tasks * len(self.stages[-1].families)
             n_shown = n_tasks * episode_steps + self.demonstrations.n_decisions
             keys = "curriculum.demonstrations.n_tasks curriculum.demonstrations.n_decisions scenario.episode_steps"
-            keys += " observation.n_frames observation.n_cells"
-            yield Memory("the demonstrations", 2 * n_shown * n_observation, tuple(keys.split()))
+            yield Memory("the demonstrations", 2 * n_shown * observed.n_bytes, (*keys.split(), *observed.keys))
 
 
 class Curriculum:

@@ -46,7 +46,7 @@ class NegotiationEnv:
         self._observation = self._seen(self.world, self.game.see(self.world))
 
     def observe(self) -> Tensor:
-        """[A, F, H, W] uint8, 0 or 1: the present grids of the agents; 0 for those that do not learn."""
+        """[A, *obs]: the present observations of the agents; 0 for those that do not learn."""
         return self._observation
 
     def is_learning(self) -> Tensor:
@@ -107,7 +107,7 @@ class NegotiationEnv:
         return torch.isin(world.task.casting.driver, self._learners) & ~world.has_collided
 
     def _seen(self, world: World, by_egos: Tensor) -> Tensor:
-        """[A, F, H, W]: observations of all agents of E worlds, from those of the egos [E, F, H, W]."""
+        """[A, *obs]: observations of all agents of E worlds, from those of the egos [E, *obs]."""
         if not len(self._learners):
             return by_egos
         n_worlds = len(by_egos)
@@ -119,7 +119,7 @@ class NegotiationEnv:
         return torch.cat([by_egos, others])
 
     def _start_again(self, moved: World, reached: Tensor, which: Tensor) -> None:
-        """Continue from `moved`, with observations `reached` [A, F, H, W], and with new tasks in the worlds `which`."""
+        """Continue from `moved`, with observations `reached` [A, *obs], and with new tasks in the worlds `which`."""
         self.world, self._observation = moved, reached
         if len(which) == 0:
             return

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import torch
@@ -10,14 +10,14 @@ from torch import Tensor
 
 from negopipe import environment
 from negopipe.agents.population import Cast, PopulationConfig
-from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
+from negopipe.observation.kinds import AnyObservationConfig, build_observation
 from negopipe.planner.config import PlannerConfig
 from negopipe.planner.frenet import FrenetPlanner
 from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
 from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
 from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.simulator import Events, Simulator
-from negopipe.simulation.state import EGO, Motion, VehicleState, World
+from negopipe.simulation.state import EGO, Motion, World
 from negopipe.tensors.chunked import ChunkedFunction
 
 CHUNKS = {"cpu": 64, "cuda": 1024}
@@ -37,7 +37,7 @@ class GameConfig(Protocol):
     def planner(self) -> PlannerConfig: ...
 
     @property
-    def observation(self) -> ObservationConfig: ...
+    def observation(self) -> AnyObservationConfig: ...
 
     @property
     def perception(self) -> PerceptionConfig: ...
@@ -56,13 +56,13 @@ class Game:
     choose: World, horizon of the ego [E] (s) -> horizons [E, V] (s) of all vehicles
     plan: Perception, horizon [E, S] (s) -> Motion [E, S], by the planner, or by the rule of an agent's driver
     perceive: World -> Perception of all vehicles
-    step: World, VehicleState [E, V] -> World, Events
-    draw: Perception of one agent -> [E, F, H, W] uint8 grids
+    step: World, Motion [E, V] -> World, Events
+    draw: Perception of one agent -> observations [E, *obs]
     drive: World, horizon [E, V] (s) -> World, Events: perceive, plan and step in one call, for all vehicles
-    advance: World, horizon [E, V] (s) -> World, Events, grids of the ego: `drive` and `see` in one call
-    see: World -> [E, F, H, W] uint8 grids of the ego: perceive and draw in one call
-    see_as: World, vehicle [E] int64 -> [E, F, H, W] uint8 grids of that vehicle
-    observation_shape: (F, H, W)
+    advance: World, horizon [E, V] (s) -> World, Events, observations of the ego: `drive` and `see` in one call
+    see: World -> observations of the ego [E, *obs]: perceive and draw in one call
+    see_as: World, vehicle [E] int64 -> observations of that vehicle [E, *obs]
+    observation_shape: shape of one observation, *obs
     """
 
     simulator: Simulator
@@ -71,46 +71,43 @@ class Game:
     choose: Callable[[World, Tensor], Tensor]
     plan: Callable[[Perception, Tensor], Motion]
     perceive: Callable[[World], Perception]
-    step: Callable[[World, VehicleState], tuple[World, Events]]
+    step: Callable[[World, Motion], tuple[World, Events]]
     draw: Callable[[Perception], Tensor]
     drive: Callable[[World, Tensor], tuple[World, Events]]
     advance: Callable[[World, Tensor], tuple[World, Events, Tensor]]
     see: Callable[[World], Tensor]
     see_as: Callable[[World, Tensor], Tensor]
-    observation_shape: tuple[int, int, int]
+    observation_shape: tuple[int, ...]
 
 
 def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compiled: bool = False) -> Game:
     """The game of a configuration; nothing in it depends on a task."""
-    scenario, observation = config.scenario, config.observation
-    sensor = Sensor(
-        config.perception,
-        scenario.dt_s,
-        history_steps(observation, scenario.dt_s),
-        config.population.is_attentive,
-        config.planner.lowest_speed_mps,
-    )
+    scenario, sensor = config.scenario, _sensor(config)
     simulator = Simulator(scenario, sensor, build_dynamics(config.dynamics, scenario.dt_s), device)
     frenet = FrenetPlanner(config.planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
     cast = Cast(config.population, simulator)
-    grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)
+    observation = build_observation(config.observation, simulator)
     size = CHUNKS[torch.device(device).type]
 
     def plan(perception: Perception, horizon: Tensor) -> Motion:
         return cast.drive(perception, horizon, frenet.plan)
 
+    def step(world: World, motion: Motion) -> tuple[World, Events]:
+        moved, events = simulator.step(world, motion.state)
+        return replace(moved, last_horizon=motion.horizon), events
+
     def drive(world: World, horizon: Tensor) -> tuple[World, Events]:
-        return simulator.step(world, plan(sensor.perceive(world), horizon).state)
+        return step(world, plan(sensor.perceive(world), horizon))
 
     def advance(world: World, horizon: Tensor) -> tuple[World, Events, Tensor]:
         moved, events = drive(world, horizon)
         return moved, events, see(moved)
 
     def see(world: World) -> Tensor:
-        return grid.draw(sensor.perceive(world).of(EGO))
+        return observation.draw(sensor.perceive(world).of(EGO))
 
     def see_as(world: World, vehicle: Tensor) -> Tensor:
-        return grid.draw(sensor.perceive(world).of_each(vehicle))
+        return observation.draw(sensor.perceive(world).of_each(vehicle))
 
     def accelerate(fn: Callable) -> Callable:
         return ChunkedFunction(fn, size, _compile if is_compiled else None)
@@ -122,13 +119,25 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         choose=World.horizons,
         plan=accelerate(plan),
         perceive=sensor.perceive,
-        step=accelerate(simulator.step),
-        draw=accelerate(grid.draw),
+        step=accelerate(step),
+        draw=accelerate(observation.draw),
         drive=accelerate(drive),
         advance=accelerate(advance),
         see=accelerate(see),
         see_as=accelerate(see_as),
-        observation_shape=grid.shape,
+        observation_shape=observation.shape,
+    )
+
+
+def _sensor(config: GameConfig) -> Sensor:
+    """The sensor of every vehicle, which remembers as much as the observation shows."""
+    dt_s = config.scenario.dt_s
+    return Sensor(
+        config.perception,
+        dt_s,
+        config.observation.history_steps(dt_s),
+        config.population.is_attentive,
+        config.planner.lowest_speed_mps,
     )
 
 

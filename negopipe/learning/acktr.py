@@ -21,17 +21,17 @@ Design decisions
     is measured too: otherwise value errors of the first updates can shrink the encoder's features to nothing.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Literal
 
 import torch
 from torch import Generator, Tensor
 
-from negopipe.checks import Memory
+from negopipe.checks import Memory, Observed
 from negopipe.learning.kfac import Kfac, KfacConfig, add_to_layer, fisher_loss
 from negopipe.learning.update import Decisions, Outputs, UpdateConfig, differentiate, measure_kl, policy_gradient_loss
 from negopipe.policy.actor_critic import ActorCritic
-from negopipe.policy.size import LayerSize
+from negopipe.policy.size import Layers
 from negopipe.schema import Fraction, PositiveFloat, schema
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
 
@@ -45,8 +45,8 @@ class NaturalGradientConfig(UpdateConfig):
 
     kfac: KfacConfig
 
-    def memory(self, layers: Sequence[LayerSize], n_observation: int, n_agents: int) -> Iterator[Memory]:
-        yield from super().memory(layers, n_observation, n_agents)
+    def memory(self, layers: Layers, observed: Observed, n_agents: int) -> Iterator[Memory]:
+        yield from super().memory(layers, observed, n_agents)
         yield from self.kfac.memory(layers, self.n_samples)
 
 

@@ -2,7 +2,8 @@
 
 Martens & Grosse 2015 (linear layers), Grosse & Martens 2016 (convolutions), Wu et al. 2017 (actor-critic).
 
-Symbols, per layer (a linear layer is a convolution with one position)
+Symbols, per layer (a linear layer is a convolution with one position, or with as many as there are elements that
+share it, such as the other road users: K-FAC-expand, Eschenhagen et al. 2023)
     N               samples that the statistics are taken from
     S               positions of the output map
     n               inputs of one position, plus one: the homogeneous coordinate, constant 1, carries the bias
@@ -23,7 +24,7 @@ in G (Grosse & Martens 2016, Sec. 3.1).
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -32,7 +33,7 @@ from torch import Generator, Tensor, nn
 
 from negopipe.checks import FLOAT_BYTES, N_COPIES, N_TEMPORARIES, Memory
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
-from negopipe.policy.size import LayerSize
+from negopipe.policy.size import Layers
 from negopipe.schema import Fraction, PositiveFloat, PositiveInt, schema
 
 Layer = nn.Linear | nn.Conv2d
@@ -48,7 +49,7 @@ class KfacConfig:
     statistics_decay: weight of the old factors when new ones come in; smaller at the start
     statistics_interval: updates from one set of statistics to the next
     n_statistics: samples N of one set
-    n_patches: patches that a convolution's input factor is estimated from, rounded up to whole samples; the
+    n_patches: positions that a layer's input factor is estimated from, rounded up to whole samples; the
         first convolution of the paper's network cuts 400 out of every grid
     inverse_interval: updates from one inversion to the next
     max_factor_size: input factors wider than this are split into equal diagonal blocks. The encoder's linear
@@ -68,24 +69,26 @@ class KfacConfig:
         return equal_blocks(n, self.max_factor_size)
 
     def n_cut(self, n_positions: int) -> int:
-        """Samples that are cut into patches, for a convolution with so many positions."""
+        """Samples that the input factor of a layer with so many positions is estimated from."""
         return math.ceil(self.n_patches / n_positions)
 
-    def memory(self, layers: Sequence[LayerSize], n_samples: int) -> Iterator[Memory]:
+    def memory(self, layers: Layers, n_samples: int) -> Iterator[Memory]:
         """Memory of the factors and of the patches that they are estimated from.
 
         n_samples: decisions of a minibatch
         """
         n_factors = 0
-        for layer in layers:
+        for layer in layers.sizes:
             n_blocks, size = self.blocks(layer.n_inputs + 1)
             n_factors += n_blocks * size**2 + layer.n_outputs**2
-        keys = ("algorithm.kfac.max_factor_size", "policy.encoder_width", "policy.head_widths", "policy.conv")
+        keys = ("algorithm.kfac.max_factor_size", *layers.weight_keys)
         yield Memory("the Fisher factors", n_factors * FLOAT_BYTES * N_TEMPORARIES, keys)
         n_taken = min(self.n_statistics, n_samples)
-        patches = (min(n_taken, self.n_cut(layer.side**2)) * layer.side**2 * (layer.n_inputs + 1) for layer in layers)
-        keys = ("algorithm.kfac.n_patches", "algorithm.kfac.n_statistics", "policy.conv", "observation.n_cells")
-        yield Memory("the Fisher statistics", sum(patches) * FLOAT_BYTES * N_COPIES, keys)
+        n_numbers = 0
+        for layer in layers.sizes:
+            n_numbers += min(n_taken, self.n_cut(layer.n_positions)) * layer.n_positions * (layer.n_inputs + 1)
+        keys = ("algorithm.kfac.n_patches", "algorithm.kfac.n_statistics", *layers.position_keys)
+        yield Memory("the Fisher statistics", n_numbers * FLOAT_BYTES * N_COPIES, keys)
 
 
 @dataclass(frozen=True)
@@ -161,7 +164,9 @@ class Kfac:
         new = {
             name: Factors(
                 input_factor(
-                    layer, self._samples_for(inputs[name], output_gradients[name]), self.config.max_factor_size
+                    layer,
+                    self._samples_for(layer, inputs[name], output_gradients[name]),
+                    self.config.max_factor_size,
                 ),
                 output_factor(layer, output_gradients[name]),
             )
@@ -174,9 +179,9 @@ class Kfac:
         self.factors = {name: _average(self.factors.get(name), f, decay) for name, f in new.items()}
         self.n_statistics_taken += 1
 
-    def _samples_for(self, x: Tensor, d: Tensor) -> Tensor:
-        """The first samples of a layer's input x, which hold `n_patches` positions; all samples for a linear layer."""
-        return x if d.dim() == 2 else x[: self.config.n_cut(d[0, 0].numel())]
+    def _samples_for(self, layer: Layer, x: Tensor, d: Tensor) -> Tensor:
+        """The first samples of a layer's input x, which hold `n_patches` positions; all where there is one position."""
+        return x if d.dim() == 2 else x[: self.config.n_cut(n_positions(layer, d))]
 
     def _invert(self) -> None:
         """New inverses of all layers; a layer that cannot be inverted keeps its old one."""
@@ -239,13 +244,18 @@ def n_inputs(layer: Layer) -> int:
     return layer.weight[0].numel() + 1
 
 
+def n_positions(layer: Layer, d: Tensor) -> int:
+    """S: positions of the output map, from the gradient d with respect to it."""
+    return d[0, 0].numel() if isinstance(layer, nn.Conv2d) else d[0].numel() // d.shape[-1]
+
+
 def homogeneous_inputs(layer: Layer, x: Tensor) -> Tensor:
-    """a [N S, n] float32 from the layer's input x: [N, n - 1], or [N, C, H, W] cut into patches."""
+    """a [N S, n] float32 from the layer's input x: [N, n - 1], [N, S, n - 1], or [N, C, H, W] cut into patches."""
     x = x.float()
     if isinstance(layer, nn.Conv2d):
         patches = F.unfold(x, layer.kernel_size, layer.dilation, layer.padding, layer.stride)  # type: ignore[arg-type]
-        x = patches.transpose(1, 2).flatten(0, 1)
-    return F.pad(x, (0, 1), value=1.0)
+        x = patches.transpose(1, 2)
+    return F.pad(x.flatten(0, -2), (0, 1), value=1.0)
 
 
 def input_factor(layer: Layer, x: Tensor, max_size: int) -> Tensor:
@@ -255,10 +265,10 @@ def input_factor(layer: Layer, x: Tensor, max_size: int) -> Tensor:
 
 
 def output_factor(layer: Layer, d: Tensor) -> Tensor:
-    """G [m, m] of one set of samples; d [N, m], or [N, m, H, W], gradient of the summed loss."""
+    """G [m, m] of one set of samples; d [N, m], [N, S, m] or [N, m, H, W], gradient of the summed loss."""
     if isinstance(layer, nn.Conv2d):
-        d = d.flatten(2).transpose(1, 2).flatten(0, 1)
-    d = d.float()
+        d = d.flatten(2).transpose(1, 2)
+    d = d.flatten(0, -2).float()
     return d.T @ d / len(d)
 
 

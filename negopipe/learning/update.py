@@ -6,7 +6,7 @@ entropy           H    = -1/N sum_t sum_a pi(a|s_t) log pi(a|s_t)
 together          L    = L_pi + c_V L_V - c_H H
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from typing import Protocol
 
@@ -14,10 +14,10 @@ import torch
 from pydantic import model_validator
 from torch import Generator, Tensor
 
-from negopipe.checks import FLOAT_BYTES, N_COPIES, Memory
+from negopipe.checks import FLOAT_BYTES, N_COPIES, Memory, Observed
 from negopipe.learning.advantage import AdvantageConfig
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of
-from negopipe.policy.size import LayerSize
+from negopipe.policy.size import Layers
 from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt, schema
 
 
@@ -76,19 +76,18 @@ class UpdateConfig:
         """Decisions of a minibatch, at most."""
         return min(self.minibatch_size, self.n_worlds * self.n_steps)
 
-    def memory(self, layers: Sequence[LayerSize], n_observation: int, n_agents: int) -> Iterator[Memory]:
-        """Memory of an iteration, for a network of such layers that sees `n_observation` bytes per decision.
+    def memory(self, layers: Layers, observed: Observed, n_agents: int) -> Iterator[Memory]:
+        """Memory of an iteration, for a network of such layers and such observations.
 
         n_agents: vehicles of a world that the policy may drive
         """
-        seen = ("observation.n_frames", "observation.n_cells")
-        n_bytes = 2 * self.n_worlds * n_agents * self.n_steps * n_observation  # as collected, and as learnt from
+        n_bytes = 2 * self.n_worlds * n_agents * self.n_steps * observed.n_bytes  # as collected, and as learnt from
+        keys = ("algorithm.n_worlds", "algorithm.n_steps")
         sides = ("scenario.n_social",) if n_agents > 1 else ()
-        yield Memory("a rollout", n_bytes, ("algorithm.n_worlds", "algorithm.n_steps", *sides, *seen))
-        n_numbers = n_observation + sum(layer.n_outputs * layer.side**2 for layer in layers)
-        n_bytes = self.n_samples * n_numbers * FLOAT_BYTES * N_COPIES
-        keys = ("algorithm.minibatch_size", "algorithm.n_worlds", "algorithm.n_steps", *seen, "policy.conv")
-        yield Memory("a minibatch", n_bytes, keys)
+        yield Memory("a rollout", n_bytes, (*keys, *sides, *observed.keys))
+        n_bytes = self.n_samples * (observed.n_numbers + layers.n_outputs) * FLOAT_BYTES * N_COPIES
+        seen = dict.fromkeys((*observed.keys, *layers.position_keys))
+        yield Memory("a minibatch", n_bytes, ("algorithm.minibatch_size", *keys, *seen))
 
     def step_share(self, progress: float) -> float:
         """Length of the steps relative to the first ones, after the share `progress` of the training."""

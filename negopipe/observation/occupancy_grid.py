@@ -7,14 +7,15 @@ footprints share a place only in a collision.
 """
 
 import math
-from collections.abc import Iterator
 from functools import reduce
+from typing import Literal
 
 import torch
 from torch import Tensor
 
-from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Memory, Problem, check_times
-from negopipe.schema import NonNegativeMetres, PositiveFloat, PositiveInt, PositiveMetres, schema
+from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Memory, Observed
+from negopipe.observation.frames import FramesConfig
+from negopipe.schema import NonNegativeMetres, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.geometry import Boxes
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road
@@ -33,15 +34,14 @@ SPREAD, LOWEST_BITS = 0x00204081, 0x01010101
 
 
 @schema
-class ObservationConfig:
+class OccupancyGridConfig(FramesConfig):
     """`conf/observation/occupancy_grid.yaml` says what each value means."""
 
+    kind: Literal["occupancy_grid"]
     n_cells: PositiveInt
     cell_along_m: PositiveMetres
     cell_across_m: PositiveMetres
     behind_m: NonNegativeMetres
-    n_frames: PositiveInt
-    frame_interval_s: PositiveFloat
 
     @property
     def n_words(self) -> int:
@@ -49,12 +49,10 @@ class ObservationConfig:
         return math.ceil(self.n_cells / WORD_BITS)
 
     @property
-    def n_bytes(self) -> int:
-        """Bytes of one observation, a byte per cell."""
-        return self.n_frames * self.n_cells**2
-
-    def check(self, dt_s: float) -> Iterator[Problem]:
-        yield from check_times({"observation.frame_interval_s": (self.frame_interval_s,)}, dt_s)
+    def observed(self) -> Observed:
+        """Size of one observation, a byte per cell."""
+        n_cells = self.n_frames * self.n_cells**2
+        return Observed(n_cells, n_cells, ("observation.n_frames", "observation.n_cells"))
 
     def memory(self, n_boxes: int, n_worlds: int) -> Memory:
         """Memory of drawing `n_boxes` rectangles in `n_worlds` worlds."""
@@ -67,15 +65,10 @@ class ObservationConfig:
         """Frames, rows and columns of one observation, (F, H, W)."""
         return (self.n_frames, self.n_cells, self.n_cells)
 
-
-def frame_stride(config: ObservationConfig, dt_s: float) -> int:
-    """Control steps between two frames."""
-    return max(1, round(config.frame_interval_s / dt_s))
-
-
-def history_steps(config: ObservationConfig, dt_s: float) -> int:
-    """Past poses that the simulator must keep for the grids."""
-    return (config.n_frames - 1) * frame_stride(config, dt_s)
+    @property
+    def layout(self) -> tuple[int, int, int]:
+        """The same as `shape`: what a network for grids is built for."""
+        return self.shape
 
 
 class OccupancyGrid:
@@ -87,7 +80,7 @@ class OccupancyGrid:
 
     def __init__(
         self,
-        config: ObservationConfig,
+        config: OccupancyGridConfig,
         road: Road,
         vehicle: VehicleConfig,
         dt_s: float,
@@ -96,7 +89,7 @@ class OccupancyGrid:
         self.config, self.vehicle, self.road = config, vehicle, road
         n = config.n_cells
         self.shape = config.shape
-        self._stride = frame_stride(config, dt_s)
+        self._stride = config.frame_stride(dt_s)
         cells = torch.arange(n, device=device)
         self._ahead = (n - cells - 0.5) * config.cell_along_m - config.behind_m  # [H] m, row centres
         starts = torch.arange(config.n_words, device=device) * WORD_BITS

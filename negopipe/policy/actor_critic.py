@@ -1,9 +1,8 @@
-"""The network of the paper: a shared encoder, a policy head and a value head."""
+"""The network: an encoder of observations that a policy head and a value head share."""
 
 import math
-from copy import deepcopy
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -20,45 +19,15 @@ are nearly equal. Random first values would be unlearned by shrinking the shared
 
 
 @schema
-class ConvConfig:
-    """One convolution, followed by ReLU: output channels, side of the square kernel, stride (cells)."""
+class HeadsConfig:
+    """The heads of a network and the actions it chooses from.
 
-    channels: PositiveInt
-    kernel: PositiveInt
-    stride: PositiveInt
-
-
-@schema
-class PolicyConfig:
-    """The network and the actions it chooses from.
-
-    conv: convolutions over the grids, in order
-    encoder_width: units of the linear layer behind them
     head_widths: hidden units of the policy head and of the value head, alike
     horizons_s: action i makes the ego predict `horizons_s[i]` seconds ahead
-    precision: arithmetic of the encoder
-    memory_format: order in which the encoder's weights and maps lie in memory
-
-    A run resolves `auto` (`negopipe.runtime.network_choice`). A policy that is built without a run takes `auto` for
-    float32 and channels_last.
     """
 
-    conv: tuple[ConvConfig, ...]
-    encoder_width: PositiveInt
     head_widths: tuple[PositiveInt, ...]
     horizons_s: Annotated[tuple[Horizon, ...], Field(min_length=2), Distinct]
-    precision: Literal["auto", "float32", "bfloat16"]
-    memory_format: Literal["auto", "channels_last", "channels_first"]
-
-
-def encoder_dtype(precision: str) -> torch.dtype:
-    """torch's dtype of a `PolicyConfig.precision`."""
-    return {"auto": torch.float32, "float32": torch.float32, "bfloat16": torch.bfloat16}[precision]
-
-
-def encoder_memory_format(memory_format: str) -> torch.memory_format:
-    """torch's memory format of a `PolicyConfig.memory_format`."""
-    return torch.contiguous_format if memory_format == "channels_first" else torch.channels_last
 
 
 class ActorCritic(nn.Module):
@@ -124,74 +93,35 @@ class ActorCritic(nn.Module):
                 head[-1].weight.mul_(LAST_GAIN / HIDDEN_GAIN)  # type: ignore[operator,union-attr]
 
 
-class GridEncoder(nn.Module):
-    """Encoder of occupancy grids [E, C, H, W] (0 or 1) to features [E, encoder_width].
+class Encoder(nn.Module):
+    """An encoder of the observations that an environment shows: [E, *obs] -> features [E, n_features]."""
 
-    UserError where the convolutions leave no cell of the grid.
-    """
+    observation_shape: tuple[int, ...]
 
-    def __init__(self, config: PolicyConfig, observation_shape: tuple[int, int, int]) -> None:
-        super().__init__()
-        self.observation_shape = observation_shape
-        channels, height, width = observation_shape
-        layers: list[nn.Module] = []
-        for conv in config.conv:
-            layers += [nn.Conv2d(channels, conv.channels, conv.kernel, conv.stride), nn.ReLU()]
-            channels = conv.channels
-            height, width = ((side - conv.kernel) // conv.stride + 1 for side in (height, width))
-        if min(height, width) < 1:
-            raise UserError(f"policy.conv must leave at least one cell of a {observation_shape[1:]} grid, got none")
-        self.convolutions = nn.Sequential(*layers)
-        self.linear = nn.Linear(channels * height * width, config.encoder_width)
-        self.memory_format = encoder_memory_format(config.memory_format)
-
-    def forward(self, grid: Tensor) -> Tensor:
-        maps = self.convolutions(grid.contiguous(memory_format=self.memory_format))
-        return torch.relu(self.linear(maps.flatten(1)))
+    def read(self, shown: np.ndarray) -> Tensor:
+        """Observations for the network [N, *obs], from those of an environment [..., *obs]."""
+        raise NotImplementedError
 
 
-class GridPolicy(ActorCritic):
-    """The actor-critic whose encoder is a `GridEncoder`."""
+class Policy(ActorCritic):
+    """An actor-critic that takes the observations of an environment as they are."""
 
     @torch.no_grad()
-    def act(self, grids: np.ndarray) -> Any:
-        """The most probable action for the grids that an environment shows, as its `step` takes it.
+    def act(self, observation: np.ndarray) -> Any:
+        """The most probable action for the observations of an environment, as its `step` takes it.
 
-        grids: [F, H, W] of one world, or [E, F, H, W]; 0 = free and any other value occupied, so 0 and 255 of
-            `negopipe.envs.gymnasium` or 0 and 1. UserError for another shape
+        observation: [*obs] of one world, or [E, *obs]; UserError for another shape
         Returns an int64 number for one world, [E] int64 for E worlds.
         """
-        assert isinstance(self.encoder, GridEncoder)
-        shape = self.encoder.observation_shape
-        if np.shape(grids)[-3:] != shape or np.ndim(grids) not in (3, 4):
+        encoder = self.encoder
+        assert isinstance(encoder, Encoder)
+        shape = encoder.observation_shape
+        n_axes = len(shape)
+        if np.shape(observation)[-n_axes:] != shape or np.ndim(observation) not in (n_axes, n_axes + 1):
             allowed = f"an array of shape {shape}, or of several of them"
-            raise UserError(f"grids must be {allowed}, got the shape {np.shape(grids)}")
-        occupied = torch.from_numpy(np.not_equal(grids, 0)).reshape(-1, *shape).to(self.value_mean.device)
-        return greedy_action(self(occupied)[0]).cpu().numpy().reshape(np.shape(grids)[:-3])[()]
-
-
-def grid_actor_critic(
-    config: PolicyConfig, observation_shape: tuple[int, int, int], device: torch.device, generator: Generator
-) -> GridPolicy:
-    """The paper's network on `device`, for grids [C, H, W]. The weights depend on the CPU generator only."""
-    policy = GridPolicy(
-        encoder=GridEncoder(config, observation_shape),
-        n_features=config.encoder_width,
-        head_widths=config.head_widths,
-        n_actions=len(config.horizons_s),
-        dtype=encoder_dtype(config.precision),
-        generator=generator,
-    )
-    memory_format = encoder_memory_format(config.memory_format)
-    return policy.to(device=device, memory_format=memory_format)  # type: ignore[call-overload]
-
-
-def recast(policy: ActorCritic, precision: str, memory_format: str) -> ActorCritic:
-    """Copy of a network for grids, with another precision and memory format."""
-    other = deepcopy(policy)
-    assert isinstance(other.encoder, GridEncoder)
-    other.dtype, other.encoder.memory_format = encoder_dtype(precision), encoder_memory_format(memory_format)
-    return other.to(memory_format=other.encoder.memory_format)  # type: ignore[call-overload]
+            raise UserError(f"observation must be {allowed}, got the shape {np.shape(observation)}")
+        rows = encoder.read(observation).to(self.value_mean.device)
+        return greedy_action(self(rows)[0]).cpu().numpy().reshape(np.shape(observation)[:-n_axes])[()]
 
 
 def mlp(widths: tuple[int, ...]) -> nn.Sequential:

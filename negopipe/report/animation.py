@@ -1,8 +1,8 @@
 """Bird's-eye animations of evaluated episodes, in real time, as GIF; single frames as PNG.
 
-One panel per planner and, with a `PolicyTrace`, a row below with the policy's grids and the probabilities of its
-horizons. The ribbon ahead of a social vehicle is the ego's prediction of it: its path within the prediction horizon at
-its present speed, in the colour of that horizon; an infinite one predicts as far as a plan.
+One panel per planner and, with a `PolicyTrace`, a row below with the policy's grids, if it sees any, and the
+probabilities of its horizons. The ribbon ahead of a social vehicle is the ego's prediction of it: its path within the
+prediction horizon at its present speed, in the colour of that horizon; an infinite one predicts as far as a plan.
 """
 
 from collections.abc import Sequence
@@ -250,26 +250,24 @@ class _Panel:
 
 
 class _PolicyRow:
-    """Inputs and outputs of the policy: a row of grids, then a bar per horizon with its probability."""
+    """Inputs and outputs of the policy: a row of grids, if it sees any, then a bar per horizon with its probability."""
 
     def __init__(self, figure: Figure, policy_trace: PolicyTrace, dt_s: float) -> None:
         self.policy_trace, self.dt_s = policy_trace, dt_s
         width_px, height_px = figure.get_size_inches() * DPI
-        n_frames = policy_trace.grids.shape[1]
-        size_px = min(GRID_PX, round((0.6 * WIDTH_PX) / n_frames) - 8)
+        first = () if policy_trace.grids is None else tuple(policy_trace.grids[0])
+        size_px = min(GRID_PX, round((0.6 * WIDTH_PX) / max(len(first), 1)) - 8)
         ink = ListedColormap([ROAD, INK])
         self.images = []
-        for frame in range(n_frames):
+        for frame, grid in enumerate(first):
             left_px = 8 + frame * (size_px + 8)
             axis = figure.add_axes((left_px / width_px, 8 / height_px, size_px / width_px, size_px / height_px))
             axis.set(xticks=[], yticks=[])
             axis.spines[:].set_visible(True)
             age_s = frame * policy_trace.frame_interval_s
             axis.set_title("grid: now" if frame == 0 else f"{age_s:g} s ago", fontsize=9, fontweight="normal", pad=3)
-            self.images.append(
-                axis.imshow(_as_driven(policy_trace.grids[0, frame]), ink, vmin=0, vmax=1, aspect="auto")
-            )
-        left_px = 8 + n_frames * (size_px + 8) + 50
+            self.images.append(axis.imshow(_as_driven(grid), ink, vmin=0, vmax=1, aspect="auto"))
+        left_px = 8 + len(first) * (size_px + 8) + 50
         bars_px = (left_px, 8, width_px - left_px - 52, size_px)
         axis = figure.add_axes(
             (bars_px[0] / width_px, bars_px[1] / height_px, bars_px[2] / width_px, size_px / height_px)
@@ -294,8 +292,9 @@ class _PolicyRow:
 
     def artists_at(self, time_s: float) -> list[Artist]:
         """Parts of the decision that is being carried out; after the end, of the last one."""
-        step = min(int(time_s / self.dt_s + 1e-6), len(self.policy_trace.grids) - 1)
-        for image, grid in zip(self.images, self.policy_trace.grids[step], strict=True):
+        step = min(int(time_s / self.dt_s + 1e-6), len(self.policy_trace.probability) - 1)
+        grids = () if self.policy_trace.grids is None else self.policy_trace.grids[step]
+        for image, grid in zip(self.images, grids, strict=True):
             image.set_data(_as_driven(grid))
         for bar, text, share in zip(self.bars, self.shares, self.policy_trace.probability[step], strict=True):
             bar.set_width(float(share))

@@ -43,8 +43,8 @@ CAPTIONS = {
     "film_alone": (
         "{setting}, episode {episode}: {planners}, {which}",
         """The ego comes from the left, the social vehicle ({style}) from the right in grey. Ribbon: the
-        ego's prediction of the social vehicle. Below the road: the occupancy grids that the policy observes (ahead is
-        to the right) and its probability of each prediction horizon.""",
+        ego's prediction of the social vehicle. Below the road: the occupancy grids, where the policy observes them
+        (ahead is to the right), and its probability of each prediction horizon.""",
     ),
     "behaviour_index": (
         "Behaviour index",

@@ -14,8 +14,9 @@ from negopipe.agents.population import PolicyDriver
 from negopipe.config.compose import load_config
 from negopipe.errors import UserError
 from negopipe.game.game import Game, build_game
-from negopipe.observation.occupancy_grid import ObservationConfig
-from negopipe.policy.actor_critic import ActorCritic, GridPolicy, PolicyConfig, grid_actor_critic
+from negopipe.observation.kinds import AnyObservationConfig, ObservationConfig
+from negopipe.policy.actor_critic import ActorCritic, Policy
+from negopipe.policy.kinds import AnyPolicyConfig, PolicyConfig, build_policy
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.torch_settings import own_settings
 from negopipe.tracking.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint
@@ -27,6 +28,9 @@ log = logging.getLogger("negopipe")
 
 RESULT_NEUTRAL_KEYS = ("precision", "memory_format")
 """Keys of the policy in which a checkpoint may differ from a config: the weights do not depend on them."""
+
+FIRST_KINDS = {"policy": "cnn", "observation": "occupancy_grid"}
+"""Kinds of network and observation of checkpoints that name none: there was one kind of each when they were made."""
 
 
 def device_of(config: "RunConfig") -> torch.device:
@@ -74,7 +78,7 @@ def with_learned(
 def build(config: "RunConfig") -> tuple[Game, ActorCritic]:
     """The game and a freshly initialised policy, which also drives the social vehicles of the kind `self`."""
     device, game = device_of(config), game_of(config)
-    policy = grid_actor_critic(config.policy, game.observation_shape, device, generator(config.seed, "initial weights"))
+    policy = build_policy(config.policy, config.observation.layout, device, generator(config.seed, "initial weights"))
     log.info(f"planner    {game.planner.n_combinations} trajectories per plan")
     return with_learned(game, config, policy), policy
 
@@ -92,16 +96,16 @@ def save_policy(path: Path, policy: ActorCritic, config: "RunConfig", n_decision
 
 
 @own_settings()
-def load_policy(source: str | Path = "pretrained/mixture", config: "RunConfig | None" = None) -> GridPolicy:
+def load_policy(source: str | Path = "pretrained/mixture", config: "RunConfig | None" = None) -> Policy:
     """The policy of a checkpoint, in eval mode on the CPU, with the network that the checkpoint describes.
 
         policy = negopipe.load_policy("pretrained/yield")
-        action = policy.act(grids)
+        action = policy.act(observation)
 
     source: a file; `pretrained/yield` or `pretrained/mixture`, which come with negopipe; `pretrained`, the one of
         `config.name`; or the id of an MLflow run in the store of `config`
-    config: the network and the grids must be those of this config, whose precision and memory format are used; None =
-        any network, in float32
+    config: the network and the observation must be those of this config, whose precision and memory format are used;
+        None = any network, in float32
     UserError where there is no such checkpoint, or where it does not fit.
     """
     path = find_checkpoint(str(source), config or load_config())
@@ -112,34 +116,44 @@ def load_policy(source: str | Path = "pretrained/mixture", config: "RunConfig | 
         _check_match(path, metadata, config)
         network, observation = config.policy, config.observation
     with torch.random.fork_rng(devices=[]):  # torch draws weights for every layer that it makes
-        policy = grid_actor_critic(network, observation.shape, torch.device("cpu"), torch.Generator())
+        policy = build_policy(network, observation.layout, torch.device("cpu"), torch.Generator())
     _fill(path, tensors, policy)
     policy.eval()
     return policy
 
 
 def load_weights(path: Path, policy: ActorCritic, config: "RunConfig") -> None:
-    """Load a checkpoint's weights into `policy`; UserError if it was made for another network or other grids."""
+    """Load a checkpoint's weights into `policy`; UserError if it was made for another network or observation."""
     tensors, metadata = load_checkpoint(path)
     _check_match(path, metadata, config)
     _fill(path, tensors, policy)
 
 
-def _described(path: Path, metadata: dict[str, Any]) -> tuple[PolicyConfig, ObservationConfig]:
-    """The network and the grids that a checkpoint was made with; precision and memory format are `auto`."""
+def _described(path: Path, metadata: dict[str, Any]) -> tuple[AnyPolicyConfig, AnyObservationConfig]:
+    """The network and the observation that a checkpoint was made with; precision and memory format are `auto`."""
     try:
-        made_with = metadata.get("policy", {}) | dict.fromkeys(RESULT_NEUTRAL_KEYS, "auto")
-        observation = TypeAdapter(ObservationConfig).validate_python(metadata.get("observation", {}))
+        made_with = _made_with(metadata, "policy")
+        made_with |= {key: "auto" for key in RESULT_NEUTRAL_KEYS if key in made_with}
+        observation: AnyObservationConfig = TypeAdapter(ObservationConfig).validate_python(
+            _made_with(metadata, "observation")
+        )
         return TypeAdapter(PolicyConfig).validate_python(made_with), observation
     except ValidationError as error:
         key = ".".join(map(str, error.errors()[0]["loc"]))
-        raise UserError(f"checkpoint must describe its network and its grids, got {path}: {key} is wrong") from error
+        told = f"got {path}: {key} is wrong"
+        raise UserError(f"checkpoint must describe its network and its observation, {told}") from error
+
+
+def _made_with(metadata: dict[str, Any], part: str) -> dict[str, Any]:
+    """Values of a part of the config that a checkpoint was made with."""
+    return {"kind": FIRST_KINDS[part]} | metadata.get(part, {})
 
 
 def _check_match(path: Path, metadata: dict[str, Any], config: "RunConfig") -> None:
     for part in ("policy", "observation"):
-        made_with, wanted = metadata.get(part, {}), _plain(getattr(config, part))
-        differing = [key for key in wanted if made_with.get(key) != wanted[key] and key not in RESULT_NEUTRAL_KEYS]
+        made_with, wanted = _made_with(metadata, part), _plain(getattr(config, part))
+        keys = [key for key in ("kind", *wanted) if key not in RESULT_NEUTRAL_KEYS]
+        differing = [key for key in keys if made_with.get(key) != wanted[key]]
         if differing:
             key = differing[0]
             raise UserError(f"{part}.{key} must be {made_with.get(key)} as in the checkpoint {path}, got {wanted[key]}")
@@ -153,6 +167,6 @@ def _fill(path: Path, tensors: dict[str, Tensor], policy: ActorCritic) -> None:
         raise UserError(f"checkpoint must hold the weights of this network, got {path}: {reason}") from error
 
 
-def _plain(part: PolicyConfig | ObservationConfig) -> dict[str, Any]:
+def _plain(part: AnyPolicyConfig | AnyObservationConfig) -> dict[str, Any]:
     """A part of the config as JSON returns it: tuples become lists, an infinite horizon its text."""
     return TypeAdapter(type(part)).dump_python(part, mode="json")

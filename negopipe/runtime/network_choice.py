@@ -9,10 +9,10 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from negopipe.policy.actor_critic import PolicyConfig, grid_actor_critic, recast
+from negopipe.policy.grids import GridPolicyConfig, grid_actor_critic, recast
 from negopipe.runtime.backend import keep_choices, kept_choices
 from negopipe.runtime.build import device_of
-from negopipe.runtime.network_passes import forward_backward, minibatch_sizes, random_grids
+from negopipe.runtime.network_passes import forward_backward, minibatch_sizes, random_observations
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.timing import block_seconds
 
@@ -55,8 +55,11 @@ def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
     """The config with every `auto` of policy.precision and policy.memory_format replaced by the faster value.
 
     Torch must have been prepared for the config (`backend.prepare`): the timing uses its device and threads. The choice
-    is kept beside the backend's in `folder`, for a resumed run. A value other than `auto` stays.
+    is kept beside the backend's in `folder`, for a resumed run. A value other than `auto` stays. A network for objects
+    has neither key.
     """
+    if not isinstance(config.policy, GridPolicyConfig):
+        return config
     autos = [key for key in PREFERRED if getattr(config.policy, key) == "auto"]
     kept = {key: value for key, value in kept_choices(folder).items() if key in autos}
     policy = replace(config.policy, **kept)
@@ -73,7 +76,7 @@ def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
     return replace(config, policy=policy)
 
 
-def variants(policy: PolicyConfig) -> list[Variant]:
+def variants(policy: GridPolicyConfig) -> list[Variant]:
     """Variants that the policy's config leaves open, the preferred ones first."""
     given = {key: getattr(policy, key) for key in PREFERRED}
     values = [among if given[key] == "auto" else (given[key],) for key, among in PREFERRED.items()]
@@ -85,9 +88,10 @@ def time_variants(config: "RunConfig", among: Iterable[Variant]) -> Seconds:
 
     The variants take turns, so that a slow moment of the machine affects all alike.
     """
-    device, seen = device_of(config), config.observation
-    shape = (seen.n_frames, seen.n_cells, seen.n_cells)
-    grids = random_grids(_n_timed(config), shape, device)
+    device, shape = device_of(config), config.observation.shape
+    assert isinstance(config.policy, GridPolicyConfig)
+    assert len(shape) == 3
+    grids = random_observations(_n_timed(config), shape, device)
     policy = grid_actor_critic(config.policy, shape, device, generator(config.seed, "timing"))
     policies = {variant: recast(policy, *variant) for variant in among}
 

@@ -54,6 +54,8 @@ class Perception:
     desired_speed: [E, S] float32, m/s
     style_horizon: [E, S] float32, s, own driving style, the one in force now; NaN where the driver chooses
     driver: [E, S] int64, index of the own driver in the population; `NOBODY` without one
+    last_horizon: [E, S] float32, s, own prediction horizon of the step before; NaN without one (`World.last_horizon`)
+    rest_steps: [E, S] int64, control steps for which the vehicle itself has been at rest (`World.rest_steps`)
     other: VehicleState [E, S, O], as sighted or tracked; acceleration from the speeds of the last steps, curvature 0
     is_seen: [E, S, O] bool, sighted or tracked; where false, the fields of `other` are 0 and mean nothing
     own_history: [E, K, S, 3] float32, own poses x, y, yaw (m, m, rad; world), index 0 now, one step apart
@@ -66,6 +68,8 @@ class Perception:
     desired_speed: Tensor
     style_horizon: Tensor
     driver: Tensor
+    last_horizon: Tensor
+    rest_steps: Tensor
     other: VehicleState
     is_seen: Tensor
     own_history: Tensor
@@ -96,6 +100,8 @@ class Perception:
             desired_speed=pick(self.desired_speed),
             style_horizon=pick(self.style_horizon),
             driver=pick(self.driver),
+            last_horizon=pick(self.last_horizon),
+            rest_steps=pick(self.rest_steps),
             other=map_tensors(pick, self.other),
             is_seen=pick(self.is_seen),
             own_history=pick_past(self.own_history),
@@ -155,6 +161,8 @@ class Sensor:
             desired_speed=task.desired_speed,
             style_horizon=world.style_horizon,
             driver=task.casting.driver,
+            last_horizon=world.last_horizon,
+            rest_steps=world.rest_steps,
             other=VehicleState(pose[..., :2], pose[..., 2], speed, accel, torch.zeros_like(accel)),
             is_seen=is_seen,
             own_history=world.pose_history[:, :n_frames],
@@ -166,7 +174,7 @@ class Sensor:
         """What the drivers go by: poses [E, V, O, 3], speeds [E, V, O] now and `accel_window_s` before, who is seen.
 
         A driver that reacts late goes by what it saw then. One that lapses sees nobody for a whole second. The past
-        that the grids show is not touched: late and lapsing drivers follow a planner and see no grids.
+        that observations show is not touched: late and lapsing drivers follow a planner and use no observation.
         """
         if self._is_attentive:
             return seen.pose[:, 0], seen.speed[:, 0], seen.speed[:, self._window], seen.is_seen[:, 0]

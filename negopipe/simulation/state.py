@@ -170,6 +170,8 @@ class World:
     has_collided: [E, V] bool, the vehicle touched another vehicle, a parked car or the kerb
     rest_steps: [E, V] int64, control steps for which the vehicle has been at rest without a break until now; those
         within the episode's first second do not count
+    last_horizon: [E, V] float32, s, prediction horizon of the plan that the vehicle drove by in the last step; NaN at
+        the start of an episode, and for a driver without horizons
     has_switched: [E, V] bool, the vehicle drives in its task's next style from now on
     pose_history: [E, K, V, 3] float32, x (m), y (m), yaw (rad) in the world frame; index 0 is now, index k is
         k steps ago. Before the episode's start the first state is repeated.
@@ -185,6 +187,7 @@ class World:
     has_reached: Tensor
     has_collided: Tensor
     rest_steps: Tensor
+    last_horizon: Tensor
     has_switched: Tensor
     pose_history: Tensor
     speed_history: Tensor

@@ -36,7 +36,7 @@ from negopipe.benchmark.workload import decision_workload
 from negopipe.errors import UserError
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import Game, build_game, has_compiler
-from negopipe.policy.actor_critic import grid_actor_critic
+from negopipe.policy.kinds import build_policy
 from negopipe.runtime.backend import prepare
 from negopipe.runtime.progress import ProgressLine
 from negopipe.simulation.scenario import TaskSampler
@@ -121,12 +121,12 @@ def measure_machine(config: "RunConfig", device: str) -> Figures:
 def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figures:
     """The figures of one backend with one number of worlds.
 
-    decisions_per_s: steps of a world with random actions: all plans, reward, grids, a new task where an episode is over
+    decisions_per_s: steps of a world with random actions: all plans, reward, observation, new tasks
     planner_candidates_per_s: combinations planned and checked, of all vehicles, by `plan` alone
-    observation_frames_per_s: by `draw` alone
-    decision_latency_ms_p50, _p99: time of one decision of one ego: grids, network, plan; with one world only
+    observation_frames_per_s: by `draw` alone; frames of an observation count
+    decision_latency_ms_p50, _p99: time of one decision of one ego: observation, network, plan; with one world only
     peak_memory_mb: growth of the peak since before the game is built, the compiler's own memory included
-    first_compile_s: time of the first grids and the first step, with the compilation of everything that a step needs
+    first_compile_s: time of the first observation and step, with the compilation of everything that a step needs
     """
     before_mb = peak_memory_mb(_device(backend))
     benchmark, device = config.benchmark, _device(backend)
@@ -162,7 +162,7 @@ def measure_cell(config: "RunConfig", backend: Backend, n_worlds: int) -> Figure
 def limits(config: "RunConfig", devices: list[str], figures: Figures) -> Figures:
     """Least cost of a decision, and the decisions per second that the machine's two rates allow."""
     game = build_game(config)
-    work = decision_workload(game, config.scenario)
+    work = decision_workload(game, config.scenario, config.observation)
     limit = {"limit.flops_per_decision": work.flops, "limit.bytes_per_decision": work.bytes}
     for device in devices:
         gflops, gb_per_s = (figures[_reference(device) + name] for name in ("matmul_gflops", "copy_gb_per_s"))
@@ -197,7 +197,7 @@ def _start(config: "RunConfig", game: Game, n_worlds: int, device: torch.device)
 def _decide(config: "RunConfig", env: NegotiationEnv, device: torch.device) -> Callable[[], object]:
     """One decision of the ego as in the evaluation."""
     weights = generator(config.seed, "initial weights")
-    policy = grid_actor_critic(config.policy, env.game.observation_shape, device, weights)
+    policy = build_policy(config.policy, config.observation.layout, device, weights)
     driver = HorizonDriver(adaptive_planner(policy, env.game, config.policy.horizons_s, None), env.game.plan)
     return lambda: driver.drive(env.game.perceive(env.world).of(EGO))
 

@@ -1,7 +1,7 @@
 """Search for demonstrations: the best horizons for tasks of the training, found with full knowledge of the tasks.
 
 The tasks are drawn like those of the training, from a stream of their own, so no held-out task is among them. The
-policy sees only the grids of a demonstration, as in its own episodes, and not the knowledge of the search.
+policy sees only the observations of a demonstration, as in its own episodes, and not the knowledge of the search.
 """
 
 import logging
@@ -90,15 +90,15 @@ def _table(name: str, best: Sequences, horizons_s: tuple[float, ...]) -> pd.Data
 
 
 def _replay(config: "RunConfig", game: Game, tasks: Task, texts: list[str]) -> tuple[Tensor, Tensor]:
-    """Grids [D, F, H, W] uint8 and actions [D] int64 of all decisions in N episodes."""
+    """Observations [D, *obs] and actions [D] int64 of all decisions in N episodes."""
     device = tasks.family.device
     horizons, world = torch.tensor(config.policy.horizons_s, device=device), game.simulator.reset(tasks)
     known = horizons.tolist()  # rounded to float32, as the texts are
     chosen = [torch.tensor([known.index(h) for h in from_text(text).tolist()], device=device) for text in texts]
-    grids, seen, actions = game.see(world), [], []
+    observation, seen, actions = game.see(world), [], []
     for action in torch.nn.utils.rnn.pad_sequence(chosen, padding_value=-1):
         is_driving = action >= 0
-        seen.append(grids[is_driving])
+        seen.append(observation[is_driving])
         actions.append(action[is_driving])
-        world, _, grids = game.advance(world, game.choose(world, horizons[action]))
+        world, _, observation = game.advance(world, game.choose(world, horizons[action]))
     return torch.cat(seen), torch.cat(actions)

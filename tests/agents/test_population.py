@@ -22,7 +22,7 @@ from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.metrics import passes_first
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
 from negopipe.game.game import Game, build_game
-from negopipe.policy.actor_critic import grid_actor_critic
+from negopipe.policy.kinds import build_policy
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, NOBODY, Task
 from negopipe.tensors.tree import map_tensors, named_tensors
@@ -188,7 +188,7 @@ def test_a_list_of_horizons_is_drawn_from() -> None:
 
 def policy_of(config: RunConfig, game: Game) -> Learned:
     generator = torch.Generator().manual_seed(0)
-    network = grid_actor_critic(config.policy, game.observation_shape, torch.device("cpu"), generator)
+    network = build_policy(config.policy, config.observation.layout, torch.device("cpu"), generator)
     with torch.no_grad():
         network.policy_head[-1].weight.mul_(1e4)
     return Learned(network, config.policy.horizons_s, is_sampled=False)

@@ -14,8 +14,12 @@ from negopipe.errors import UserError
 ALL = ["curriculum=demonstrations", "stages=[train,evaluate,behaviour_map,oracle,benchmark]"]
 ALL += ["scenario.road.parked_car_length_m=1.0"]
 LATE = ["perception.delay_s=0.4", "perception.accel_window_s=5.0", "algorithm.minibatch_size=4096"]
+OBJECTS = ["observation=objects", "policy=objects", "policy.own_widths=[64,32]"]
+OBJECTS += ["algorithm.kfac.max_factor_size=100", "algorithm.kfac.n_patches=260"]
 CONFIGS = [compose_config(ALL), compose_config([*ALL, *LATE, "oracle.population=200"])]
 """In the second, what the first takes the larger or the smaller of is the other way round."""
+OF_OBJECTS = [compose_config([*OBJECTS, *ALL]), compose_config([*OBJECTS, *ALL, *LATE, "oracle.population=200"])]
+"""The same for the observation and the network of objects."""
 
 CONFIG = CONFIGS[0]
 
@@ -34,10 +38,18 @@ def changed(node: Any, path: list[str]) -> Any:
     return node[:-1] if isinstance(node, list | tuple) else 2 * node
 
 
-@pytest.mark.parametrize(("purpose", "key"), [(m.purpose, key) for m in memory(CONFIG).values() for key in m.keys])
-def test_a_key_that_is_named_counts(purpose: str, key: str) -> None:
-    others = [changed(config, key.split(".")) for config in CONFIGS]
-    pairs = zip(CONFIGS, others, strict=True)
+NAMED = [
+    pytest.param(configs, m.purpose, key, id=f"{configs[0].policy.kind}-{m.purpose}-{key}")
+    for configs in (CONFIGS, OF_OBJECTS)
+    for m in memory(configs[0]).values()
+    for key in m.keys
+]
+
+
+@pytest.mark.parametrize(("configs", "purpose", "key"), NAMED)
+def test_a_key_that_is_named_counts(configs: list[RunConfig], purpose: str, key: str) -> None:
+    others = [changed(config, key.split(".")) for config in configs]
+    pairs = zip(configs, others, strict=True)
     assert any(memory(config)[purpose].n_bytes != memory(other)[purpose].n_bytes for config, other in pairs)
 
 

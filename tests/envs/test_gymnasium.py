@@ -89,6 +89,26 @@ def test_overrides_act() -> None:
         gymnasium.make(ENV_ID, overrides=("scenario.dt_s=-1",))
 
 
+OBJECTS = ("observation=objects", "policy=objects")
+
+
+def test_objects_pass_the_checker() -> None:
+    env = gymnasium.make(ENV_ID, overrides=OBJECTS)
+    check_env(env.unwrapped, skip_render_check=True)
+    assert env.observation_space.dtype == np.float32
+    assert env.observation_space.contains(env.reset(seed=1)[0])
+
+
+def test_objects_that_were_shown_do_not_change() -> None:
+    envs = NarrowLaneVectorEnv(3, OBJECTS)
+    first, _ = envs.reset(seed=1)
+    kept = first.copy()
+    for _ in range(3):
+        shown, *_ = envs.step(np.zeros(3, dtype=np.int64))
+        assert not np.array_equal(shown, kept)
+    assert np.array_equal(first, kept)
+
+
 def test_vector_resets_in_the_same_step() -> None:
     envs = gymnasium.make_vec(ENV_ID, num_envs=6, vectorization_mode="vector_entry_point")
     assert isinstance(envs.unwrapped, NarrowLaneVectorEnv)

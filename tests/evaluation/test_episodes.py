@@ -15,7 +15,7 @@ from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
 from negopipe.game.game import Game, build_game, has_compiler
-from negopipe.policy.actor_critic import grid_actor_critic
+from negopipe.policy.kinds import build_policy
 from negopipe.simulation.state import Task
 from negopipe.tensors.tree import map_tensors
 
@@ -95,8 +95,8 @@ def test_outcomes_do_not_depend_on_batch_size_or_order(config: RunConfig, game: 
 @pytest.mark.parametrize("planner", ["adaptive", "fixed_6", "random", "give_way", "cautious", "level_k"])
 def test_compiled_not_a_bit_depends_on_batch_size_or_order(config: RunConfig, compiled: Game, planner: str) -> None:
     baseline = compose_config(["evaluation/baseline=all"]).evaluation.baselines.get(planner)
-    policy = grid_actor_critic(
-        config.policy, compiled.observation_shape, torch.device("cpu"), torch.Generator().manual_seed(0)
+    policy = build_policy(
+        config.policy, config.observation.layout, torch.device("cpu"), torch.Generator().manual_seed(0)
     )
     make_ego, is_lockstep = by_horizon(compiled, adaptive_planner(policy, compiled, config.policy.horizons_s)), False
     if baseline is not None:
@@ -118,8 +118,8 @@ def compiled(config: RunConfig) -> Game:
 
 
 def test_adaptive_planner_looks_at_the_grids(config: RunConfig, game: Game) -> None:
-    policy = grid_actor_critic(
-        config.policy, game.observation_shape, torch.device("cpu"), torch.Generator().manual_seed(0)
+    policy = build_policy(
+        config.policy, config.observation.layout, torch.device("cpu"), torch.Generator().manual_seed(0)
     )
     with torch.no_grad():
         policy.policy_head[-1].bias.copy_(torch.tensor([0.0, 0.0, 100.0, 0.0]))

@@ -15,7 +15,8 @@ from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.replay import record_policy, replay
 from negopipe.evaluation.trace import EPISODE_AXIS, Trace
 from negopipe.game.game import Game, build_game
-from negopipe.policy.actor_critic import ActorCritic, grid_actor_critic
+from negopipe.policy.actor_critic import ActorCritic
+from negopipe.policy.kinds import build_policy
 from negopipe.simulation.state import Task
 
 
@@ -32,7 +33,7 @@ def game(config: RunConfig) -> Game:
 @pytest.fixture(scope="module")
 def policy(config: RunConfig, game: Game) -> ActorCritic:
     random = torch.Generator().manual_seed(0)
-    return grid_actor_critic(config.policy, game.observation_shape, torch.device("cpu"), random)
+    return build_policy(config.policy, config.observation.layout, torch.device("cpu"), random)
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +70,7 @@ def test_the_policy_is_seen_thinking(
     paid, horizons = config.evaluation.reward, config.policy.horizons_s
     policy_traces = record_policy(game, policy, horizons, 1.0, tasks, chosen(driven), paid)
     for policy_trace, n in zip(policy_traces, driven.n_steps, strict=True):
+        assert policy_trace.grids is not None
         assert policy_trace.grids.shape == (n, *game.observation_shape)
         assert policy_trace.probability.sum(1) == pytest.approx(np.ones(n), abs=1e-5)
     first = game.see(game.simulator.reset(tasks))
@@ -78,3 +80,13 @@ def test_the_policy_is_seen_thinking(
     assert np.stack([policy_trace.probability[0] for policy_trace in policy_traces]) == pytest.approx(
         expected.numpy(), abs=1e-5
     )
+
+
+def test_a_policy_that_sees_no_grids_has_probabilities_only(tasks: Task) -> None:
+    config = compose_config(["scenario.episode_steps=20", "observation=objects", "policy=objects"])
+    policy = build_policy(config.policy, config.observation.layout, torch.device("cpu"), torch.Generator())
+    horizons = [np.zeros(4, dtype=np.float32)] * 3
+    paid = config.evaluation.reward
+    for trace in record_policy(build_game(config), policy, config.policy.horizons_s, 1.0, tasks, horizons, paid):
+        assert trace.grids is None
+        assert trace.probability.shape == (4, 4)

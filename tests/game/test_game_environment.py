@@ -91,6 +91,19 @@ def test_actions_are_horizons(config: RunConfig, game: Game) -> None:
         assert_same(env.world.vehicles, expected)
 
 
+def test_a_world_knows_the_horizons_that_were_driven(config: RunConfig, game: Game) -> None:
+    env = make(config, game, 4)
+    assert env.world.last_horizon.isnan().all()
+    for action in (0, 3):
+        style = env.world.style_horizon[:, 1]
+        env.step(torch.full((4,), action))
+        assert env.world.last_horizon[:, EGO].tolist() == [config.policy.horizons_s[action]] * 4
+        assert torch.equal(env.world.last_horizon[:, 1], style)
+        assert torch.equal(game.perceive(env.world).last_horizon, env.world.last_horizon)
+    env.restart(torch.tensor([True, False, False, False]))
+    assert env.world.last_horizon.isnan().any(1).tolist() == [True, False, False, False]
+
+
 def test_a_switched_style_drives(config: RunConfig, game: Game) -> None:
     env = make(config, game, 4)
     task = replace(env.world.task, next_style_horizon=torch.tensor([[torch.nan, 0.0]] * 4))
@@ -161,5 +174,5 @@ def test_compiled_equals_eager(config: RunConfig, game: Game) -> None:
         a, b = game.plan(seen, horizon), compiled.plan(seen, horizon)
         torch.testing.assert_close(a.state.position, b.state.position, atol=1e-4, rtol=0)
         n_differing_grids += float((game.draw(seen.of(EGO)) != compiled.draw(seen.of(EGO))).float().mean())
-        world, _ = compiled.step(world, a.state)
+        world, _ = compiled.step(world, a)
     assert n_differing_grids / 40 < 1e-4

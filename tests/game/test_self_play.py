@@ -164,3 +164,11 @@ def test_a_saved_environment_goes_on_the_same() -> None:
         for field in fields(first):
             a, b = getattr(first, field.name), getattr(second, field.name)
             assert isinstance(a, dict) or torch.equal(a, b)
+
+
+def test_every_seat_sees_objects_as_the_ego_does() -> None:
+    _, game, env = made("observation=objects", "policy=objects", "population/driver=[self]")
+    assert env.observe().shape == (2 * N, *game.observation_shape)
+    env.step(drawn(2 * N))
+    seats = (torch.full((N,), vehicle) for vehicle in (0, 1))
+    torch.testing.assert_close(env.observe(), torch.cat([game.see_as(env.world, seat) for seat in seats]))

@@ -94,6 +94,18 @@ def test_convolution_factors_equal_a_loop_over_patches() -> None:
     torch.testing.assert_close(output_factor(layer, d), g)
 
 
+def test_a_layer_that_elements_share_has_the_factors_of_a_loop_over_them() -> None:
+    layer, x, d = nn.Linear(3, 2), randn(5, 4, 3), randn(5, 4, 2)
+    a, g = torch.zeros(4, 4), torch.zeros(2, 2)
+    for n in range(5):
+        for i in range(4):
+            row = torch.cat([x[n, i], torch.ones(1)])
+            a += torch.outer(row, row) / 5
+            g += torch.outer(d[n, i], d[n, i]) / (5 * 4)
+    torch.testing.assert_close(input_factor(layer, x, 100)[0], a)
+    torch.testing.assert_close(output_factor(layer, d), g)
+
+
 def test_patches_are_in_the_order_of_the_weights() -> None:
     layer, x = nn.Conv2d(2, 3, 3, stride=2), randn(2, 2, 7, 7)
     weight = torch.cat([layer.weight.flatten(1), layer.bias[:, None]], 1)

@@ -26,6 +26,7 @@ from negopipe.learning.kfac import (
     input_factor,
     kfac_layers,
     layer_gradient,
+    n_positions,
     output_factor,
     precondition,
     record,
@@ -39,7 +40,7 @@ NOISE_STD = math.sqrt(0.5)
 """(f - y)^2 is the negative log-likelihood of a Gaussian of this width."""
 LOSSES = {"softmax": nn.CrossEntropyLoss(reduction="sum"), "gaussian": nn.MSELoss(reduction="sum")}
 
-networks = pytest.mark.parametrize("kind", ["linear", "convolution"])
+networks = pytest.mark.parametrize("kind", ["linear", "convolution", "elements"])
 heads = pytest.mark.parametrize("head", LOSSES)
 Loss = Callable[[Tensor], Tensor]
 
@@ -52,6 +53,13 @@ def float64(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     torch.set_default_dtype(torch.float32)
 
 
+class Largest(nn.Module):
+    """The largest values of elements [N, S, m] -> [N, m]."""
+
+    def forward(self, elements: Tensor) -> Tensor:
+        return elements.amax(1)
+
+
 def randn(*shape: int) -> Tensor:
     return torch.randn(*shape, generator=Generator().manual_seed(sum(shape)))
 
@@ -60,6 +68,9 @@ def case(kind: str) -> tuple[nn.Sequential, Tensor]:
     """A network with three outputs and a batch for it."""
     if kind == "linear":
         network, x = nn.Sequential(nn.Linear(4, 5), nn.Tanh(), nn.Linear(5, 3)), randn(N, 4)
+    elif kind == "elements":  # two layers that seven elements share, then their largest values
+        shared = (nn.Linear(4, 5), nn.Tanh(), nn.Linear(5, 4), nn.Tanh())
+        network, x = nn.Sequential(*shared, Largest(), nn.Linear(4, 3)), randn(N, 7, 4)
     else:
         first, second = nn.Conv2d(2, 3, 3, stride=2, padding=1), nn.Conv2d(3, 4, (2, 3))
         network = nn.Sequential(first, nn.Tanh(), second, nn.Tanh(), nn.Flatten(), nn.Linear(16, 3))
@@ -126,7 +137,7 @@ def compare(network: nn.Module, x: Tensor, ours: dict[str, Factors], theirs: KFA
         network.get_submodule(name).register_forward_hook(lambda *args, name=name: outputs.update({name: args[2]}))
     network(x)
     for name, factors in ours.items():
-        positions = outputs[name][0, 0].numel()
+        positions = n_positions(network.get_submodule(name), outputs[name])  # type: ignore[arg-type]
         a, g = theirs._input_covariances[name], theirs._gradient_covariances[name]
         torch.testing.assert_close(factors.inputs[0], positions * a, rtol=1e-12, atol=1e-13)
         torch.testing.assert_close(factors.outputs, g / (N * positions), rtol=1e-12, atol=1e-13)
@@ -140,7 +151,7 @@ def test_factors_equal_the_oracles(kind: str, head: str, fisher_type: str) -> No
     """From given targets, from the same sampled ones, and in expectation over all that could be sampled."""
     network, x = case(kind)
     ours = our_factors(network, x, losses_of(fisher_type, head, network(x).detach()))
-    assert len(ours) == {"linear": 2, "convolution": 3}[kind]
+    assert len(ours) == {"linear": 2, "convolution": 3, "elements": 3}[kind]
     compare(network, x, ours, oracle(network, head, x, fisher_type))
 
 

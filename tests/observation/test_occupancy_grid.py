@@ -9,7 +9,7 @@ from games import draw_tasks
 
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game
-from negopipe.observation.occupancy_grid import OccupancyGrid, frame_stride
+from negopipe.observation.occupancy_grid import OccupancyGrid
 from negopipe.simulation.state import EGO, World
 
 
@@ -39,7 +39,7 @@ def is_occupied(game: Game, world: World, e: int, steps_ago: int, x: float, y: f
 def test_agrees_with_a_plain_loop(config: RunConfig, game: Game, n_steps: int) -> None:
     world = some_worlds(config, game, n_steps)
     grids = game.draw(game.perceive(world).of(EGO))
-    o, stride = config.observation, frame_stride(config.observation, config.scenario.dt_s)
+    o, stride = config.observation, config.observation.frame_stride(config.scenario.dt_s)
     n_wrong = n_cells = 0
     for e in range(2):
         x0, y0, yaw0 = world.pose_history[e, 0, EGO].tolist()

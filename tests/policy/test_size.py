@@ -4,13 +4,14 @@ import torch
 from torch import Generator, nn
 
 from negopipe.config.compose import compose_config
-from negopipe.policy.actor_critic import grid_actor_critic
-from negopipe.policy.size import layer_sizes
+from negopipe.policy.grids import GridPolicyConfig, grid_actor_critic
+from negopipe.policy.size import grid_layers
 
 
 def test_layers_are_those_of_the_network() -> None:
     config = compose_config(["observation.n_cells=60", "policy.head_widths=[32]"])
     shape = (config.observation.n_frames, 60, 60)
+    assert isinstance(config.policy, GridPolicyConfig)
     network = grid_actor_critic(config.policy, shape, torch.device("cpu"), Generator())
     outputs: list[tuple[nn.Module, torch.Tensor]] = []
     for layer in network.modules():
@@ -18,5 +19,5 @@ def test_layers_are_those_of_the_network() -> None:
             layer.register_forward_hook(lambda layer, _, output: outputs.append((layer, output)))
     network(torch.zeros(1, *shape, dtype=torch.uint8))
     built = [(sum(p.numel() for p in layer.parameters()), output[0].numel()) for layer, output in outputs]
-    sizes = layer_sizes(config.policy, config.observation.n_frames, 60)
-    assert [(size.n_weights, size.n_outputs * size.side**2) for size in sizes] == built
+    sizes = grid_layers(config.policy, shape).sizes
+    assert [(size.n_weights, size.n_outputs * size.n_positions) for size in sizes] == built

@@ -127,3 +127,13 @@ def test_the_grids_and_probabilities_of_the_policy_are_drawn(traces: list[Trace]
     row.artists_at(1e3)
     assert row.bars[3].get_width() == pytest.approx(0.4)  # of the last decision
     assert film.draw(0.0).height > _Film(traces[:1], 0, scene, FIXED_S).draw(0.0).height
+
+
+def test_without_grids_the_probabilities_are_drawn(traces: list[Trace], scene: Scene) -> None:
+    probability = np.tile(np.float32([0.1, 0.2, 0.3, 0.4]), (int(traces[0].n_steps[0]), 1))
+    film = _Film(traces[:1], 0, scene, FIXED_S, PolicyTrace(None, probability, (0.0, 2.0, 4.0, 6.0), 1.0))
+    (row,) = film.policy_rows
+    row.artists_at(0.0)
+    assert row.images == []
+    assert [bar.get_width() for bar in row.bars] == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert film.draw(0.0).height > _Film(traces[:1], 0, scene, FIXED_S).draw(0.0).height

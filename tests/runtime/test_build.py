@@ -8,7 +8,8 @@ import torch
 
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
-from negopipe.runtime.build import build, game_of, load_weights, save_policy
+from negopipe.runtime.build import build, game_of, load_policy, load_weights, save_policy
+from negopipe.tracking.checkpoint import load_checkpoint, save_checkpoint
 
 SMALL = ("device=cpu", "compile=off", "policy.encoder_width=16", "policy.head_widths=[8]")
 
@@ -35,3 +36,29 @@ def test_stages_share_the_game_that_their_config_describes() -> None:
     other = game_of(compose_config([*SMALL, "scenario.road.corridor_gap_m=3.0"]))
     assert other.simulator.scenario.road.corridor_gap_m == 3.0
     assert game_of(config).simulator.scenario.road.corridor_gap_m == config.scenario.road.corridor_gap_m
+
+
+def test_a_checkpoint_of_objects_is_loaded_as_such_and_fits_no_grids(tmp_path: Path) -> None:
+    config = compose_config(["device=cpu", "compile=off", "observation=objects", "policy=objects"])
+    game, made = build(config)
+    save_policy(tmp_path / "weights", made, config, 1)
+    loaded = load_policy(tmp_path / "weights")
+    rows = torch.randn(3, *game.observation_shape)
+    assert torch.equal(loaded(rows)[0], made(rows)[0])
+    with pytest.raises(UserError, match=r"^policy\.kind must be objects as in the checkpoint .* got cnn$"):
+        load_policy(tmp_path / "weights", compose_config(SMALL))
+
+
+def test_a_checkpoint_that_names_no_kind_is_of_grids(tmp_path: Path) -> None:
+    config = compose_config(SMALL)
+    _, made = build(config)
+    save_policy(tmp_path / "new", made, config, 1)
+    tensors, metadata = load_checkpoint(tmp_path / "new")
+    for part in ("policy", "observation"):
+        del metadata[part]["kind"]
+    save_checkpoint(tmp_path / "old", tensors, metadata)
+    assert load_policy(tmp_path / "old").encoder.observation_shape == config.observation.shape
+    load_policy(tmp_path / "old", config)
+    objects = compose_config(["observation=objects", "policy=objects"])
+    with pytest.raises(UserError, match=r"^policy\.kind must be cnn as in the checkpoint .* got objects$"):
+        load_policy(tmp_path / "old", objects)

@@ -5,7 +5,8 @@ from torch import Tensor, nn
 
 from negopipe.envs.gymnasium import compose_config
 from negopipe.learning.update import minibatches
-from negopipe.runtime.network_passes import forward_backward, iteration_passes, minibatch_sizes, random_grids
+from negopipe.runtime.network_passes import forward_backward, iteration_passes, minibatch_sizes, random_observations
+from negopipe.tensors.row_blocks import Elements, RowBlocks
 
 CPU = torch.device("cpu")
 SHAPE = (2, 5, 5)
@@ -40,14 +41,19 @@ def test_minibatches_are_of_the_learners_sizes() -> None:
 
 
 def test_gradients_do_not_add_up() -> None:
-    network, grids = CountingNetwork(), random_grids(3, SHAPE, CPU)
+    network, grids = CountingNetwork(), random_observations(3, SHAPE, CPU)
     for _ in range(2):
         forward_backward(network, grids)  # type: ignore[arg-type]
     assert network.weight.grad is not None
     torch.testing.assert_close(network.weight.grad, 2 * grids.float().mean((1, 2, 3)).sum())
 
 
+def test_random_rows_are_of_the_layout() -> None:
+    rows = random_observations(3, RowBlocks(4, Elements(2, 5), Elements(3, 2)), CPU)
+    assert (rows.shape, rows.dtype) == ((3, 20), torch.float32)
+
+
 def test_random_grids_are_of_zeros_and_ones() -> None:
-    grids = random_grids(3, SHAPE, CPU)
+    grids = random_observations(3, SHAPE, CPU)
     assert (grids.shape, grids.dtype) == ((3, *SHAPE), torch.uint8)
     assert grids.unique().tolist() == [0, 1]

@@ -194,11 +194,11 @@ def test_an_overlap_takes_the_operations_that_are_counted() -> None:
 def test_work_grows_with_the_sizes(
     config: RunConfig, game: Game, three_social: Game, three_social_config: RunConfig
 ) -> None:
-    work = decision_workload(game, config.scenario)
-    more = decision_workload(three_social, three_social_config.scenario)
+    work = decision_workload(game, config.scenario, config.observation)
+    more = decision_workload(three_social, three_social_config.scenario, config.observation)
     pair = 6 * len(game.planner.conflicts.around) * 30 * OVERLAP  # a vehicle's paths against one other
     assert 2 * pair < work.flops < 2.5e6
     assert 10 * pair < more.flops - work.flops < 20 * pair + 2 * work.flops  # 4 see 3 each instead of 2 see 1
-    pose_floats = 16 * 4 + 12
+    pose_floats = 16 * 4 + 13
     assert work.bytes == 4 * 84 * 84 + 2 * (2 * (4 * pose_floats + 11) + 24) + 2 * 4 * 8
     assert more.bytes - work.bytes == 2 * (2 * (4 * pose_floats + 11) + 4 * 8)  # two vehicles more
