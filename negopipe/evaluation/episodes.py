@@ -137,6 +137,7 @@ def _record(
     way = tasks.direction[:, EGO]
     rows |= {"street": way.abs().long(), "corridor_m": torch.ones_like(way) * game.simulator.road.corridor_m(way)}
     rows |= {"start_distance_m": tasks.start_distance, "style_horizon_s": tasks.style_horizon}
+    rows |= {"length_m": tasks.length, "width_m": tasks.width}
     driver = game.cast.named(tasks.casting.driver)
     return {name: value.cpu().numpy() for name, value in rows.items()} | {"driver": driver}
 

@@ -91,9 +91,9 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         config.planner.lowest_speed_mps,
     )
     simulator = Simulator(scenario, sensor, build_dynamics(config.dynamics, scenario.dt_s), device)
-    frenet = FrenetPlanner(config.planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
+    frenet = FrenetPlanner(config.planner, simulator.road, scenario.sizes, scenario.dt_s, device)
     cast = Cast(config.population, simulator)
-    grid = OccupancyGrid(observation, simulator.road, scenario.vehicle, scenario.dt_s, device)
+    grid = OccupancyGrid(observation, simulator.road, scenario.sizes, scenario.dt_s, device)
     size = CHUNKS[torch.device(device).type]
 
     def plan(perception: Perception, horizon: Tensor) -> Motion:

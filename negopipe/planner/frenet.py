@@ -22,10 +22,10 @@ from negopipe.planner.prediction import PredictedPath, predict
 from negopipe.planner.reversing import Reversing
 from negopipe.planner.roadside import Roadside
 from negopipe.simulation.collisions import CollisionCheck
-from negopipe.simulation.geometry import Boxes, overlap_depth
+from negopipe.simulation.geometry import Boxes, Size, overlap_depth
 from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.road import Road, RouteState
-from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import AT_REST_MPS, Motion, VehicleState
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.materialize import materialize
@@ -61,32 +61,32 @@ class FrenetPlanner:
         self,
         config: PlannerConfig,
         road: Road,
-        vehicle: VehicleConfig,
+        sizes: Sizes,
         dt_s: float,
         device: torch.device | str = "cpu",
     ) -> None:
-        self.config, self.road, self.vehicle, self.dt_s = config, road, vehicle, dt_s
+        self.config, self.road, self.sizes, self.dt_s = config, road, sizes, dt_s
         self.times = torch.arange(1, config.n_times(dt_s) + 1, device=device) * dt_s
         self.longitudinal = LongitudinalCandidates(config.longitudinal, self.times)
         self.braking = BrakingCandidates(config.braking, self.times)
         self.lateral = LateralCandidates(config.lateral, road, device)
         self.stations = torch.arange(1, config.n_stations + 1, device=device) * config.clearance.station_m
-        self.roadside = Roadside(road, vehicle, _parked_clearance(config.clearance, self.stations))
+        self.roadside = Roadside(road, sizes, _parked_clearance(config.clearance, self.stations))
         self.give_way, self.reversing, self.lingering = self._rules(device)
         self._slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
-        self._around = _stations_around(config, vehicle).to(device)  # [K] m
+        self._around = _stations_around(config, sizes.largest).to(device)  # [K] m
 
     def _rules(self, device: torch.device | str) -> tuple[GiveWay | None, Reversing | None, Lingering | None]:
         """The rules at a passage; None where the planner has none."""
         config = self.config
         if config.give_way is None and config.reversing is None and not config.cost.lingering:
             return None, None, None
-        collisions = CollisionCheck(self.road, self.vehicle, self.dt_s, other_columns(2, device))
-        passage = Passage.of(collisions)
+        collisions = CollisionCheck(self.road, self.dt_s, other_columns(2, device))
+        passage = Passage.of(collisions, self.sizes)
         limits = (config.clearance.parked_near_m, config.limits.curvature_max_1pm, config.clearance.station_m)
         return (
             GiveWay(config.give_way, self.road, passage, self.times) if config.give_way else None,
-            Reversing(config.reversing, collisions, passage, limits) if config.reversing else None,
+            Reversing(config.reversing, collisions, self.sizes, passage, limits) if config.reversing else None,
             Lingering(self.road, passage, float(self.times[-1])) if config.cost.lingering else None,
         )
 
@@ -282,20 +282,20 @@ class FrenetPlanner:
         """Depth of overlap [L, K, O, T, N] (m) with predicted vehicles at K stations around them, and the distances
         travelled [K, O, T, N] (m) to the stations.
         """
-        size, clearance = self.vehicle, self.config.clearance
+        size, clearance = self.sizes.ego, self.config.clearance
         around = self._around[:, None, None, None]  # [K, O, T, N]
         at = predicted.s - route.s + around
         d, d_prime, _ = self.lateral.follow(paths.coefficients, route.s, direction, at)
         u, v, tan_heading = self.road.in_tangent_frame(predicted.s, direction, around, d, d_prime)  # [L, K, O, T, N]
         cos, other_cos = torch.rsqrt(1 + tan_heading**2), torch.rsqrt(1 + predicted.tan_heading**2)
-        own = Boxes(u, v, cos, tan_heading * cos, size.length_m / 2, size.width_m / 2)
+        own = Boxes(u, v, cos, tan_heading * cos, size.length / 2, size.width / 2)
         other = Boxes(
             torch.zeros_like(predicted.d),
             predicted.d,
             other_cos,
             predicted.tan_heading * other_cos,
-            size.length_m / 2 + clearance.ahead_m,
-            size.width_m / 2 + clearance.beside_m + clearance.beside_s * speed[:, None],
+            size.length / 2 + clearance.ahead_m,
+            size.width / 2 + clearance.beside_m + clearance.beside_s * speed[:, None],
         )
         return overlap_depth(own, other), at
 
@@ -387,7 +387,7 @@ def _parked_clearance(config: ClearanceConfig, ahead: Tensor) -> Tensor:
     return config.parked_near_m + (config.parked_m - config.parked_near_m) * share
 
 
-def _stations_around(config: PlannerConfig, vehicle: VehicleConfig) -> Tensor:
+def _stations_around(config: PlannerConfig, largest: Size) -> Tensor:
     """[K] m, evenly spread over the distances at which two footprints with their clearances can touch at all."""
-    reach = config.touching_m(vehicle)
-    return torch.linspace(-reach, reach, config.n_around(vehicle))
+    reach = config.touching_m(largest)
+    return torch.linspace(-reach, reach, config.n_around(largest))

@@ -17,6 +17,7 @@ from negopipe.planner.roadside import Roadside
 from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.road import RouteState
+from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import VehicleState
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.tree import map_tensors
@@ -70,15 +71,20 @@ class Reversing:
     """The way back of vehicles on one road; N vehicles that plan, O others."""
 
     def __init__(
-        self, config: ReversingConfig, collisions: CollisionCheck, passage: Passage, limits: tuple[float, float, float]
+        self,
+        config: ReversingConfig,
+        collisions: CollisionCheck,
+        sizes: Sizes,
+        passage: Passage,
+        limits: tuple[float, float, float],
     ) -> None:
         """limits: clearance to what stands beside the road (m), sharpest curvature (1/m), spacing of checks (m)."""
         self.config, self.road, self.passage = config, collisions.road, passage
-        self._collisions, self._dt_s = collisions, collisions.dt_s
+        self._collisions, self._sizes, self._dt_s = collisions, sizes, collisions.dt_s
         clearance_m, self._curvature_max, step_m = limits
         device = collisions.road.device
         self._behind = torch.arange(0.0, config.length_m + step_m, step_m, device=device)[:, None]  # [S, 1] m
-        self._roadside = Roadside(self.road, collisions.vehicle, torch.full_like(self._behind[:, 0], clearance_m))
+        self._roadside = Roadside(self.road, sizes, torch.full_like(self._behind[:, 0], clearance_m))
         self._from_state = quintic(config.return_m)[:, :3].to(device, torch.float32)
 
     def plan(
@@ -118,7 +124,10 @@ class Reversing:
         makes_way = (others.route.s_dot < -CREEPING_MPS) & (its_way < way)
         comes = others.is_oncoming & (others.s > route.s) & ~makes_way
         standing = map_tensors(lambda field: field[:, None], self.road.to_world(route, direction))
-        return comes.any(0) & self._collisions.stands_on_route(standing, -direction[:, None])[:, 0]
+        return (
+            comes.any(0)
+            & self._collisions.stands_on_route(standing, self._sizes.ego, -direction[:, None], self._sizes.ego)[:, 0]
+        )
 
     def _path(self, route: RouteState, direction: Tensor) -> tuple[Tensor, ...]:
         """Coefficients c_0 .. c_5 [N] of the offset from the route over the distance driven backwards."""
@@ -146,11 +155,11 @@ class Reversing:
 
     def _is_clear(self, route: RouteState, way: Tensor, others: Others) -> Tensor:
         """[N] bool: nobody behind is met, nor comes so near meanwhile."""
-        config, size = self.config, self._collisions.vehicle
+        config, size = self.config, self._sizes.ego
         duration_s = way.clamp(min=0) / config.speed_mps + config.speed_mps / config.accel_mps2
         speed = torch.where(others.is_oncoming, -others.route.s_dot, others.route.s_dot)
-        gap = route.s - others.s - size.length_m - speed.clamp(min=0) * duration_s
-        is_behind = others.is_seen & (others.s < route.s) & (others.offset.abs() < 1.5 * size.width_m)
+        gap = route.s - others.s - size.length - speed.clamp(min=0) * duration_s
+        is_behind = others.is_seen & (others.s < route.s) & (others.offset.abs() < 1.5 * size.width)
         return ~(is_behind & (gap < way + config.behind_m)).any(0)
 
     def _step(self, route: RouteState, direction: Tensor, way: Tensor, path: tuple[Tensor, ...]) -> RouteState:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.road import Road
-from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.sizes import Sizes
 
 Row = tuple[float, float, float, float]
 """Fields of a `ParkedRow`."""
@@ -41,11 +41,11 @@ class Roadside:
     clearance_m: [S] m, one for every station at which a path is checked
     """
 
-    def __init__(self, road: Road, vehicle: VehicleConfig, clearance_m: Tensor) -> None:
+    def __init__(self, road: Road, sizes: Sizes, clearance_m: Tensor) -> None:
         self.road = road
-        self.half_length = vehicle.length_m / 2 + clearance_m[:, None]  # [S, 1]
-        self.half_width = vehicle.width_m / 2 + clearance_m[:, None]
-        room_m = vehicle.width_m + 2 * float(clearance_m.min())
+        self.half_length = sizes.ego.length / 2 + clearance_m[:, None]  # [S, 1]
+        self.half_width = sizes.ego.width / 2 + clearance_m[:, None]
+        room_m = float(sizes.smallest.width) + 2 * float(clearance_m.min())
         rows = [_rows(cars, road.is_straight, room_m) for cars in road.parked_on_line]
         self.n_rows = max(map(len, rows))
         self._rows = torch.tensor([[*each, *[NO_ROW] * (self.n_rows - len(each))] for each in rows])

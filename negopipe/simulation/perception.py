@@ -54,7 +54,9 @@ class Perception:
     desired_speed: [E, S] float32, m/s
     style_horizon: [E, S] float32, s, own driving style, the one in force now; NaN where the driver chooses
     driver: [E, S] int64, index of the own driver in the population; `NOBODY` without one
+    length, width: [E, S] float32, m, of the own footprint
     other: VehicleState [E, S, O], as sighted or tracked; acceleration from the speeds of the last steps, curvature 0
+    other_length, other_width: [E, S, O] float32, m, of the others' footprints, which a sensor measures without error
     is_seen: [E, S, O] bool, sighted or tracked; where false, the fields of `other` are 0 and mean nothing
     own_history: [E, K, S, 3] float32, own poses x, y, yaw (m, m, rad; world), index 0 now, one step apart
     other_history: [E, K, S, O, 3] float32, poses of the others
@@ -66,7 +68,11 @@ class Perception:
     desired_speed: Tensor
     style_horizon: Tensor
     driver: Tensor
+    length: Tensor
+    width: Tensor
     other: VehicleState
+    other_length: Tensor
+    other_width: Tensor
     is_seen: Tensor
     own_history: Tensor
     other_history: Tensor
@@ -96,7 +102,11 @@ class Perception:
             desired_speed=pick(self.desired_speed),
             style_horizon=pick(self.style_horizon),
             driver=pick(self.driver),
+            length=pick(self.length),
+            width=pick(self.width),
             other=map_tensors(pick, self.other),
+            other_length=pick(self.other_length),
+            other_width=pick(self.other_width),
             is_seen=pick(self.is_seen),
             own_history=pick_past(self.own_history),
             other_history=pick_past(self.other_history),
@@ -149,13 +159,18 @@ class Sensor:
         if not self._sees_all:
             accel = torch.where(seen.is_seen[:, 0] & seen.is_seen[:, self._window], accel, 0.0)
         n_frames = 1 + self.history_steps
+        others = other_columns(task.length.shape[1], task.length.device)
         return Perception(
             own=world.reference,
             direction=task.direction,
             desired_speed=task.desired_speed,
             style_horizon=world.style_horizon,
             driver=task.casting.driver,
+            length=task.length,
+            width=task.width,
             other=VehicleState(pose[..., :2], pose[..., 2], speed, accel, torch.zeros_like(accel)),
+            other_length=task.length[:, others],
+            other_width=task.width[:, others],
             is_seen=is_seen,
             own_history=world.pose_history[:, :n_frames],
             other_history=seen.pose[:, :n_frames],

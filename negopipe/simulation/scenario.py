@@ -22,14 +22,17 @@ from negopipe.schema import (
     PositiveMetres,
     schema,
 )
+from negopipe.simulation.geometry import Size
 from negopipe.simulation.map_config import MapConfig, read_map
 from negopipe.simulation.road_config import RoadConfig, StreetsConfig
+from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import EGO, Casting, Task
+from negopipe.simulation.vehicle_kinds import VehicleKinds, bounds, draw_kinds
 
 
 @schema
 class VehicleConfig:
-    """Footprint of every vehicle, m."""
+    """Footprint of the ego, and of every vehicle without a kind, m."""
 
     length_m: PositiveMetres
     width_m: PositiveMetres
@@ -121,6 +124,7 @@ class ScenarioConfig:
     streets: StreetsConfig
     map: MapConfig | None
     vehicle: VehicleConfig
+    kinds: VehicleKinds
     ego_start_distance_m: Interval
     start_speed_mps: Interval
     desired_speed_mps: PositiveInterval
@@ -154,6 +158,22 @@ class ScenarioConfig:
             max(n) if isinstance(n, tuple) else n for n in (self.road.n_parked_per_side, self.road.n_corridors)
         )
         return 2 * n_per_side * n_corridors
+
+    @property
+    def largest_of_kinds(self) -> dict[str, VehicleConfig]:
+        """Upper bounds of the footprints of each kind."""
+        return {
+            name: VehicleConfig(length_m=bounds(kind.length_m)[1], width_m=bounds(kind.width_m)[1])
+            for name, kind in self.kinds.items()
+        }
+
+    @property
+    def sizes(self) -> Sizes:
+        """Sizes of the ego and of all kinds."""
+        ego = Size(self.vehicle.length_m, self.vehicle.width_m)
+        lengths = [ego.length, *(end for kind in self.kinds.values() for end in bounds(kind.length_m))]
+        widths = [ego.width, *(end for kind in self.kinds.values() for end in bounds(kind.width_m))]
+        return Sizes(ego, Size(min(lengths), min(widths)), Size(max(lengths), max(widths)))
 
     def check(self, foresight: Foresight) -> Iterator[Problem]:
         """foresight: of the planner."""
@@ -253,8 +273,11 @@ class TaskSampler:
             direction=direction,
             noise_seed=(noise[:, 0] * 2**24).long(),  # 24 bits is what a random float32 has
             family=family,
+            length=torch.full_like(direction, scenario.vehicle.length_m),
+            width=torch.full_like(direction, scenario.vehicle.width_m),
             casting=Casting.of_nobody(direction),
         )
+        task = draw_kinds(scenario.kinds, task)
         return task if self._assign is None else self._assign(task)
 
     def _draw_streets(self, n: int) -> Tensor:

@@ -92,6 +92,7 @@ class Task:
     direction: [E, V] float32, +n drives along the line of street n (n from 1; towards growing sigma), -n against it
     noise_seed: [E] int64, from 0 to 2^24 - 1, of the errors with which vehicles perceive each other
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
+    length, width: [E, V] float32, m, of the footprint
     casting: who drives the social vehicles
     """
 
@@ -105,6 +106,8 @@ class Task:
     direction: Tensor
     noise_seed: Tensor
     family: Tensor
+    length: Tensor
+    width: Tensor
     casting: Casting
 
     def __len__(self) -> int:

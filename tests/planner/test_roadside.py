@@ -61,7 +61,7 @@ def touches(roadside: Roadside, at: Places, grown_m: float) -> Tensor:
 )
 def test_excess_tells_who_touches_the_roadside(scenario: str, n: int, optimistic_m: float, careful_m: float) -> None:
     config = compose_config([f"scenario={scenario}"])
-    roadside = Roadside(OneStreet(config.scenario.road.street), config.scenario.vehicle, torch.tensor([0.2]))
+    roadside = Roadside(OneStreet(config.scenario.road.street), config.scenario.sizes, torch.tensor([0.2]))
     at = draw_places(n, config.scenario.road.corridor_length_m)
     excess = roadside.excess(at.s[None], at.direction, at.d[None, None], at.d_prime[None, None])[0, 0]
     is_refused = excess > 0
