@@ -13,6 +13,7 @@ from negopipe.agents.population import Cast, PopulationConfig
 from negopipe.observation.occupancy_grid import ObservationConfig, OccupancyGrid, history_steps
 from negopipe.planner.config import PlannerConfig
 from negopipe.planner.frenet import FrenetPlanner
+from negopipe.simulation.build_road import build_road
 from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
 from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
 from negopipe.simulation.scenario import ScenarioConfig
@@ -85,6 +86,7 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     scenario, observation = config.scenario, config.observation
     sensor = Sensor(
         config.perception,
+        build_road(scenario, device),
         scenario.dt_s,
         history_steps(observation, scenario.dt_s),
         config.population.is_attentive,

@@ -12,6 +12,8 @@ from torch import Tensor
 from negopipe.checks import Problem, check_times
 from negopipe.schema import Fraction, NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
+from negopipe.simulation.occlusion import Occlusion
+from negopipe.simulation.road import Road
 from negopipe.simulation.state import Sightings, Tracks, VehicleState, World
 from negopipe.simulation.tracker import Tracker, TrackerConfig
 from negopipe.tensors.stateless_rng import mix, normals, uniform
@@ -33,6 +35,7 @@ class PerceptionConfig:
     delay_s: NonNegativeFloat
     accel_window_s: PositiveFloat
     tracker: TrackerConfig | None
+    occlusion: bool
 
     def check(self, dt_s: float) -> Iterator[Problem]:
         times_s = {"perception.delay_s": (self.delay_s,), "perception.accel_window_s": (self.accel_window_s,)}
@@ -130,6 +133,7 @@ class Sensor:
     def __init__(
         self,
         config: PerceptionConfig,
+        road: Road,
         dt_s: float,
         history_steps: int,
         is_attentive: bool = True,
@@ -144,7 +148,8 @@ class Sensor:
         self.memory_steps = config.memory_steps(dt_s, history_steps)
         stds = (config.position_std_m, config.yaw_std_rad, config.speed_std_mps)
         self._is_noisy = any(std > 0 for std in stds)
-        self._sees_all = config.dropout_probability == 0 and config.range_m is None
+        self._occlusion = Occlusion(road) if config.occlusion else None
+        self._sees_all = config.dropout_probability == 0 and config.range_m is None and not config.occlusion
         self._tracker, self._dt_s = None, dt_s
         if config.tracker is not None:
             variances = (config.position_std_m**2, config.yaw_std_rad**2, config.speed_std_mps**2)
@@ -235,6 +240,8 @@ class Sensor:
             return replace(seen, is_seen=seen.is_seen.expand_as(seen.speed))
         key = self._keys(world, others, torch.arange(ago, ago + n, device=others.device))
         is_seen = self._is_seen(key, pose, seen)
+        if self._occlusion is not None:
+            is_seen = is_seen & self._occlusion.is_visible(pose, others, world.task)
         if self._is_noisy:
             seen = self._with_errors(key, seen)
         return Sightings(
