@@ -61,8 +61,8 @@ def decision_workload(game: Game, scenario: ScenarioConfig) -> Workload:
               + V (O + P) overlap + (F V + P + B) H (crossing + words * word) + F H W cell
         bytes = 2 V (state + J pose + flags) + V task + 3 counters + F H W
     """
-    n_vehicles = 1 + scenario.n_social
-    n_others, n_parked = scenario.n_social, game.simulator.road.parked_boxes().x.shape[-1]
+    n_vehicles = scenario.n_vehicles
+    n_others, n_parked = scenario.n_others, game.simulator.road.parked_boxes().x.shape[-1]
     flops = n_vehicles * (_plan(game, n_others) + (n_others + n_parked) * OVERLAP)
     n_frames, height, width = game.observation_shape
     n_words = -(-width // _WORD_BITS)

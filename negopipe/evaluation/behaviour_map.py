@@ -67,7 +67,7 @@ class BehaviourMapConfig:
 
     def memory(self, scenario: ScenarioConfig) -> Memory:
         """Memory of the trace of one pair of horizons."""
-        n_bytes = trace_bytes(self.n_episodes, scenario.episode_steps, 1 + scenario.n_social)
+        n_bytes = trace_bytes(self.n_episodes, scenario.episode_steps, scenario.n_vehicles)
         return Memory("the map", n_bytes, ("behaviour_map.n_episodes", "scenario.episode_steps", "scenario.n_social"))
 
 

@@ -59,8 +59,9 @@ class ObservationConfig:
     def memory(self, n_boxes: int, n_worlds: int) -> Memory:
         """Memory of drawing `n_boxes` rectangles in `n_worlds` worlds."""
         n_numbers = n_worlds * self.n_frames * self.n_cells * (self.n_words + 1) * n_boxes
-        keys = ("observation.n_cells", "observation.n_frames", "scenario.n_social", "scenario.road.n_parked_per_side")
-        return Memory("drawing the grids", n_numbers * FLOAT_BYTES * N_TEMPORARIES, keys)
+        keys = "observation.n_cells observation.n_frames scenario.n_social scenario.n_followers"
+        keys += " scenario.road.n_parked_per_side"
+        return Memory("drawing the grids", n_numbers * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))
 
     @property
     def shape(self) -> tuple[int, int, int]:

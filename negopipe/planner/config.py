@@ -120,10 +120,12 @@ class PlannerConfig:
 
     def memory(self, scenario: ScenarioConfig, n_worlds: int) -> Memory:
         """Memory of one plan of every vehicle in `n_worlds` worlds."""
-        n_paths = n_worlds * (1 + scenario.n_social) * self.lateral.n_candidates
-        n_met = scenario.n_social * self.n_times(scenario.dt_s)
+        n_paths = n_worlds * scenario.n_vehicles * self.lateral.n_candidates
+        n_met = scenario.n_others * self.n_times(scenario.dt_s)
         n_candidates = self.longitudinal.n_candidates + self.braking.n_candidates
         n_checks = n_met * (n_candidates + self.n_around(scenario.sizes.largest)) + self.n_stations
-        keys = "scenario.n_social planner.horizon_s scenario.dt_s planner.longitudinal.keep_fractions"
+        keys = (
+            "scenario.n_social scenario.n_followers planner.horizon_s scenario.dt_s planner.longitudinal.keep_fractions"
+        )
         keys += " planner.lateral.offsets_m planner.clearance.station_m planner.clearance.conflict_station_m"
         return Memory("a plan", n_paths * n_checks * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))

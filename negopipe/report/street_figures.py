@@ -82,7 +82,7 @@ def _street_map(scenario: ScenarioConfig, road: Road, street: int, waiting_s: np
         sigma = sign * (np.unique(s[np.isfinite(s)]) - half_m)
         points.append(_beside(scene, sigma, np.interp(sigma, scene.line_m[:, 0], d)))
     starts_m = [family.start_distance_m[1] for family in scenario.families.values()]
-    shown_m = half_m + max(scenario.ego_start_distance_m[1], *starts_m) + AROUND_M
+    shown_m = half_m + max(scenario.ego_start_distance_m[1] + scenario.queue_m[0], *starts_m) + AROUND_M
     return StreetMap(f"street {street}: corridor {2 * half_m:.1f} m", scene, np.concatenate(points), shown_m)
 
 

@@ -16,6 +16,7 @@ from negopipe.schema import (
     FileName,
     Horizon,
     Interval,
+    NonNegativeInt,
     PositiveFloat,
     PositiveInt,
     PositiveInterval,
@@ -119,6 +120,7 @@ class ScenarioConfig:
     dt_s: Annotated[PositiveFloat, Field(le=2)]  # a deadlock is told by a few seconds at rest
     episode_steps: PositiveInt
     n_social: PositiveInt
+    n_followers: NonNegativeInt
     social_spacing_m: PositiveMetres
     road: RoadConfig
     streets: StreetsConfig
@@ -158,6 +160,20 @@ class ScenarioConfig:
             max(n) if isinstance(n, tuple) else n for n in (self.road.n_parked_per_side, self.road.n_corridors)
         )
         return 2 * n_per_side * n_corridors
+
+    @property
+    def n_others(self) -> int:
+        """Social vehicles: those that come towards the ego, then those behind it."""
+        return self.n_social + self.n_followers
+
+    @property
+    def n_vehicles(self) -> int:
+        return 1 + self.n_others
+
+    @property
+    def queue_m(self) -> tuple[float, float]:
+        """Distance of the last vehicle behind the ego to the ego, and of the last oncoming one to the first."""
+        return self.n_followers * self.social_spacing_m, (self.n_social - 1) * self.social_spacing_m
 
     @property
     def largest_of_kinds(self) -> dict[str, VehicleConfig]:
@@ -250,18 +266,20 @@ class TaskSampler:
 
     def draw(self, n: int) -> Task:
         """Draw `n` tasks, on the generator's device."""
-        scenario, tables, n_social = self.scenario, self._tables, self.scenario.n_social
-        n_vehicles = 1 + n_social
-        widths = [1, 1, 1, 1, n_vehicles, n_vehicles, n_social, n_social, n_social, n_social]
+        scenario, tables = self.scenario, self._tables
+        n_vehicles, n_others = scenario.n_vehicles, scenario.n_others
+        widths = [1, 1, 1, 1, n_vehicles, n_vehicles, n_others, n_others, n_others, n_others]
         shares = torch.rand(n, sum(widths), generator=self.generator, device=self.generator.device)
         which, noise, ego, first, start, desired, style, next_style, switch, patience = shares.split(widths, dim=1)
         family = torch.searchsorted(tables.until, which[:, 0].contiguous(), right=True).clamp(max=len(tables.until) - 1)
-        behind = torch.arange(n_social, device=family.device) * scenario.social_spacing_m
-        social = _outside(tables.gaps[family], tables.distance[family], first) + behind
+        ego = _between(scenario.ego_start_distance_m, ego)
+        queue = torch.arange(n_vehicles, device=family.device) * scenario.social_spacing_m
+        social = _outside(tables.gaps[family], tables.distance[family], first) + queue[: scenario.n_social]
+        followers = ego + queue[1 : 1 + scenario.n_followers]
         direction = -self._draw_streets(n)[:, None].expand(-1, n_vehicles).contiguous()
-        direction[:, EGO] *= -1
+        direction[:, [EGO, *range(1 + scenario.n_social, n_vehicles)]] *= -1
         task = Task(
-            start_distance=torch.cat([_between(scenario.ego_start_distance_m, ego), social], dim=1),
+            start_distance=torch.cat([ego, social, followers], dim=1),
             start_speed=_between(scenario.start_speed_mps, start),
             desired_speed=_between(scenario.desired_speed_mps, desired),
             style_horizon=_with_ego(torch.nan, _one_of(tables.styles, tables.n_styles, family, style)),

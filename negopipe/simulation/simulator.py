@@ -58,7 +58,7 @@ class Simulator:
         self.sensor = sensor
         self.dynamics = dynamics
         self.road = build_road(scenario, device)
-        others = other_columns(1 + scenario.n_social, device)
+        others = other_columns(scenario.n_vehicles, device)
         self.collisions = CollisionCheck(self.road, scenario.dt_s, others)
 
     def reset(self, task: Task) -> World:

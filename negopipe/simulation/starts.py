@@ -35,15 +35,18 @@ def check_starts(scenario: ScenarioConfig, families: Mapping[str, FamilyConfig],
     """
     starts = _Starts(scenario)
     yield from starts.check_corridor()
-    yield from starts.check_roadside(ego_key, scenario.ego_start_distance_m, _tried(scenario.ego_start_distance_m), 1.0)
+    queue = torch.arange(scenario.n_vehicles) * scenario.social_spacing_m
+    distance = _tried(scenario.ego_start_distance_m)[:, None] + queue[: 1 + scenario.n_followers]
+    yield from starts.check_roadside(ego_key, scenario.ego_start_distance_m, distance, 1.0)
+    yield from starts.check_spacing(distance, 1.0)
     pieces = {piece: key for key, family in families.items() for piece in family.pieces_m or [family.start_distance_m]}
-    behind = torch.arange(scenario.n_social) * scenario.social_spacing_m
     for piece, key in pieces.items():  # what several families have in common is tried once
-        distance = _tried(piece)[:, None] + behind
+        distance = _tried(piece)[:, None] + queue[: scenario.n_social]
         yield from starts.check_roadside(f"{key}.start_distance_m", piece, distance, -1.0)
-        yield from starts.check_spacing(distance)
+        yield from starts.check_spacing(distance, -1.0)
         yield from starts.check_ego(f"{key}.start_distance_m", piece[0], ego_key)
-    farthest_m = max(scenario.ego_start_distance_m[1], *(piece[1] for piece in pieces))
+    behind_ego_m, behind_social_m = scenario.queue_m
+    farthest_m = max(scenario.ego_start_distance_m[1] + behind_ego_m, *(piece[1] + behind_social_m for piece in pieces))
     yield from starts.check_kinds(min(farthest_m, FARTHEST_M))
 
 
@@ -102,9 +105,9 @@ class _Starts:
         touch = f"at {nearest_m:g} m a vehicle touches one{hint}"
         yield Problem(key, "keep clear of kerbs and parked cars", f"{list(interval)}: {touch}")
 
-    def check_spacing(self, distance: Tensor) -> Iterator[Problem]:
-        """Social vehicles, which start at the distances [N, S], do not start in each other."""
-        ahead, behind = (self._boxes(each, -1.0, self.largest) for each in (distance[:, :-1], distance[:, 1:]))
+    def check_spacing(self, distance: Tensor, direction: float) -> Iterator[Problem]:
+        """Vehicles of one direction, which start at the distances [N, S], do not start in each other."""
+        ahead, behind = (self._boxes(each, direction, self.largest) for each in (distance[:, :-1], distance[:, 1:]))
         if (overlap_depth(ahead, behind) > TOUCH_M).any():
             yield Problem("scenario.social_spacing_m", self._apart, self.scenario.social_spacing_m)
 
