@@ -43,8 +43,7 @@ def encounter(road: Road, perception: Perception) -> Encounter:
     """Encounter as each agent perceives it."""
     own = road.to_route(perception.own, perception.direction)
     viewed = perception.direction[..., None]
-    other_direction = road.direction_of(perception.other, viewed)
-    other = road.to_route(perception.other, other_direction)
+    other_direction, other = road.to_own_route(perception.other, viewed)
     apart = road.corridor_m(viewed) - other.s - own.s[..., None]
     is_opposite = other_direction != viewed
     own_m, other_m = perception.length[..., None], perception.other_length

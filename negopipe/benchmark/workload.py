@@ -79,7 +79,7 @@ def _plan(game: Game, n_others: int) -> int:
     planner = game.planner
     n_lateral, n_longitudinal = planner.lateral.n_candidates, planner.longitudinal.n_candidates
     n_times, n_stations = len(planner.times), len(planner.stations)
-    n_around, n_rows = planner.n_around, planner.roadside.n_rows
+    n_around, n_rows = len(planner.conflicts.around), planner.roadside.n_rows
     sampling = n_longitudinal * n_times * _SAMPLE
     roadside = n_lateral * n_stations * (_STATION + n_rows * _ROW)
     checks = n_lateral * n_around * (_CHECK + OVERLAP + _BLOCKED) + n_lateral * n_longitudinal * _WITHIN

@@ -1,7 +1,7 @@
 """The planner: sample, check, cost, choose (Werling 2010; problem (1) of the paper).
 
 Axes here: N vehicles that plan (worlds and agents flattened), O others that each perceives, C longitudinal and
-L lateral candidates, T times, P parked cars, S stations along a path, K stations around a predicted vehicle. N is the
+L lateral candidates, T times, P parked cars, S stations along a path, K places around a predicted vehicle. N is the
 last axis of every tensor, so that computations per vehicle run on vector units and no axis has to be moved.
 """
 
@@ -13,20 +13,21 @@ from torch import Tensor
 
 from negopipe.planner.braking import BrakingCandidates, BrakingSamples
 from negopipe.planner.config import ClearanceConfig, PlannerConfig
+from negopipe.planner.conflicts import Blocked, ConflictCheck
 from negopipe.planner.following import predicted_s
 from negopipe.planner.give_way import GiveWay
 from negopipe.planner.lateral import LateralCandidates, path_shape
 from negopipe.planner.lingering import Lingering
 from negopipe.planner.longitudinal import LongitudinalCandidates, LongitudinalSamples
-from negopipe.planner.prediction import PredictedPath, predict
+from negopipe.planner.prediction import predict
 from negopipe.planner.reversing import Reversing
 from negopipe.planner.roadside import Roadside
+from negopipe.planner.situation import Others, Situation
 from negopipe.simulation.collisions import CollisionCheck
-from negopipe.simulation.geometry import Boxes, Size, overlap_depth
 from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.sizes import Sizes
-from negopipe.simulation.state import AT_REST_MPS, Motion, VehicleState
+from negopipe.simulation.state import AT_REST_MPS, Motion
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.materialize import materialize
 from negopipe.tensors.tree import map_tensors
@@ -55,7 +56,7 @@ class Paths(NamedTuple):
 
 
 class FrenetPlanner:
-    """Planner of any number of vehicles in one call; they differ in state and prediction horizon only."""
+    """Planner of any number of vehicles in one call; they differ in state, size and prediction horizon only."""
 
     def __init__(
         self,
@@ -74,7 +75,7 @@ class FrenetPlanner:
         self.roadside = Roadside(road, sizes, _parked_clearance(config.clearance, self.stations))
         self.give_way, self.reversing, self.lingering = self._rules(device)
         self._slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
-        self._around = _stations_around(config, sizes.largest).to(device)  # [K] m
+        self.conflicts = ConflictCheck(config, road, sizes, self.lateral, device)
 
     def _rules(self, device: torch.device | str) -> tuple[GiveWay | None, Reversing | None, Lingering | None]:
         """The rules at a passage; None where the planner has none."""
@@ -85,9 +86,9 @@ class FrenetPlanner:
         passage = Passage.of(collisions, self.sizes)
         limits = (config.clearance.parked_near_m, config.limits.curvature_max_1pm, config.clearance.station_m)
         return (
-            GiveWay(config.give_way, self.road, passage, self.times) if config.give_way else None,
-            Reversing(config.reversing, collisions, self.sizes, passage, limits) if config.reversing else None,
-            Lingering(self.road, passage, float(self.times[-1])) if config.cost.lingering else None,
+            GiveWay(config.give_way, passage, self.times) if config.give_way else None,
+            Reversing(config.reversing, collisions, passage, limits) if config.reversing else None,
+            Lingering(passage, float(self.times[-1])) if config.cost.lingering else None,
         )
 
     @property
@@ -95,98 +96,91 @@ class FrenetPlanner:
         """Number of trajectories checked per vehicle and decision."""
         return (self.longitudinal.n_candidates + self.braking.n_candidates) * self.lateral.n_candidates
 
-    @property
-    def n_around(self) -> int:
-        """Number K of stations around each predicted vehicle at which a path is checked."""
-        return len(self._around)
-
     def plan(self, perception: Perception, horizon: Tensor) -> Motion:
         """One step along the best feasible trajectory of every agent, given its prediction horizon [E, S] (s)."""
         shape = horizon.shape
-        own = map_tensors(_flatten, perception.own)
-        other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
-        direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
-        *fields, direction, desired_speed = materialize(*self.road.to_route(own, direction), direction, desired_speed)
-        route = RouteState(*fields)
-        is_seen = _flatten(perception.is_seen).transpose(0, 1)  # [O, N]
-        forwards = route._replace(s_dot=route.s_dot.clamp(min=0))
-        after, is_full_braking = self._ahead(forwards, direction, desired_speed, horizon.flatten(), other, is_seen)
+        now = self.situation(perception, horizon)
+        after, is_full_braking = self._ahead(now._replace(route=now.route._replace(s_dot=now.route.s_dot.clamp(min=0))))
         if self.reversing is not None:
-            others = self.reversing.others(other, direction, is_seen)
-            reverses, back = self.reversing.plan(route, direction, horizon.flatten(), after, others)
+            reverses, back = self.reversing.plan(now, after)
             after = RouteState(*(torch.where(reverses, b, a) for b, a in zip(back, after, strict=True)))
             is_full_braking = is_full_braking & ~reverses
-        state = self.road.to_world(after, direction)
+        state = self.road.to_world(after, now.direction)
         return Motion(
             map_tensors(lambda field: field.reshape(*shape, *field.shape[1:]), state),
             horizon,
             is_full_braking.reshape(shape),
         )
 
-    def _ahead(
-        self,
-        route: RouteState,
-        direction: Tensor,
-        desired_speed: Tensor,
-        horizon: Tensor,
-        other: VehicleState,
-        is_seen: Tensor,
-    ) -> tuple[RouteState, Tensor]:
+    def situation(self, perception: Perception, horizon: Tensor) -> Situation:
+        """Situation of all agents, with their prediction horizons [E, S] (s), N = E S."""
+        own = map_tensors(_flatten, perception.own)
+        other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
+        direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
+        *fields, direction, desired_speed = materialize(*self.road.to_route(own, direction), direction, desired_speed)
+        is_seen, *other_size = (
+            _flatten(field).transpose(0, 1)
+            for field in (perception.is_seen, perception.other_length, perception.other_width)
+        )
+        others = Others.of(self.road, other, direction, is_seen, self.sizes.of(*other_size))
+        size = self.sizes.of(perception.length.flatten(), perception.width.flatten())
+        return Situation(RouteState(*fields), direction, desired_speed, horizon.flatten(), size, others)
+
+    def _ahead(self, now: Situation) -> tuple[RouteState, Tensor]:
         """State one step forwards along the best trajectory, and whether it is full braking; fields [N]."""
-        paths = self._paths(route, direction, desired_speed)
-        predicted = predict(self.config.prediction, self.road, other, direction, self.times)
-        seconds = horizon[None]  # [1 or O, N]
-        if self.config.leader_horizon_s is not None:
-            seconds = predicted_s(self.config.leader_horizon_s, self.road, route, direction, horizon, other)
-        is_considered = (self.times[:, None] <= seconds[:, None] + self.dt_s / 2) & is_seen[:, None]  # [O, T, N]
-        depth, at = self._depth(route, direction, paths, predicted, other.speed.abs())
-        blocked = [self._interval(depth - slack, at, is_considered) for slack in self._slacks_m]
-        rule = self._rule(horizon, route, direction, other, is_seen)
-        lingering_cost = self._lingering_cost(route, direction, horizon, other, is_seen)
-        cost, first_step = self._assess(route, desired_speed, paths, blocked, rule, lingering_cost)
+        paths = self._paths(now)
+        blocked = self._blocked(now, paths)
+        cost, first_step = self._assess(now, paths, blocked, self._rule(now), self._lingering_cost(now))
         cost, best = cost.flatten(0, 1).min(dim=0)
         is_full_braking = torch.isinf(cost)
-        following = self._follow(route, direction, first_step, paths, best)
-        braking = self._brake(route, direction, paths)
+        following, braking = self._follow(now, first_step, paths, best), self._brake(now, paths)
         after = RouteState(*(torch.where(is_full_braking, b, f) for b, f in zip(braking, following, strict=True)))
         return after, is_full_braking
 
-    def _rule(
-        self, horizon: Tensor, route: RouteState, direction: Tensor, other: VehicleState, is_seen: Tensor
-    ) -> "_Rule | None":
+    def _blocked(self, now: Situation, paths: Paths) -> list[Blocked]:
+        """What the predicted vehicles block, strictly, and for stops that may come closer."""
+        predicted = predict(self.config.prediction, self.road, now.others, now.direction, self.times)
+        seconds = now.horizon[None]  # [1 or O, N]
+        if self.config.leader_horizon_s is not None:
+            seconds = predicted_s(self.config.leader_horizon_s, now)
+        is_predicted = self.times[:, None] <= seconds[:, None] + self.dt_s / 2
+        is_considered = is_predicted & now.others.is_seen[:, None]  # [O, T, N]
+        depth, at = self.conflicts.depth(now, paths.coefficients, predicted)
+        return [self.conflicts.blocked(depth - slack, at, is_considered) for slack in self._slacks_m]
+
+    def _rule(self, now: Situation) -> "_Rule | None":
         """The rule of giving way, for those whose horizon is infinite; None where the planner has none."""
         give_way = self.give_way
         if give_way is None:
             return None
-        is_bound = torch.isinf(horizon)
-        others = give_way.times_of_others(other, route, direction, is_seen)
-        to_passage = give_way.to_passage(route, direction)
+        is_bound = torch.isinf(now.horizon)
+        others = give_way.times_of_others(now)
+        to_passage = give_way.to_passage(now)
         free_m = torch.where(is_bound & (to_passage > 0), to_passage, torch.inf)
 
         def allows(travelled: Tensor, speed: Tensor) -> Tensor:
-            return give_way.allows(travelled, speed, route, direction, others) | ~is_bound
+            return give_way.allows(travelled, speed, now, others) | ~is_bound
 
         return _Rule(free_m, allows)
 
-    def _lingering_cost(
-        self, route: RouteState, direction: Tensor, horizon: Tensor, other: VehicleState, is_seen: Tensor
-    ) -> Callable[[Tensor, Tensor], Tensor] | None:
+    def _lingering_cost(self, now: Situation) -> Callable[[Tensor, Tensor], Tensor] | None:
         """Function from candidates' `travelled` and `speed` [C, T, N] to a cost [C, N]; None where nothing costs."""
         lingering, weight = self.lingering, self.config.cost.lingering
         if lingering is None:
             return None
-        is_met = lingering.is_met(route, direction, horizon, other, is_seen)
-        return lambda travelled, speed: weight * lingering.lingers(travelled, speed, route, direction, is_met)
+        is_met = lingering.is_met(now)
+        return lambda travelled, speed: weight * lingering.lingers(travelled, speed, now, is_met)
 
-    def _paths(self, route: RouteState, direction: Tensor, desired_speed: Tensor) -> Paths:
+    def _paths(self, now: Situation) -> Paths:
+        route, direction = now.route, now.direction
         coefficients = self.lateral.start(route, direction)
         at = self.stations[:, None]  # [S, 1]
         d, d_prime, d_pprime = self.lateral.follow(coefficients, route.s, direction, at.expand(-1, len(direction)))
         s = route.s + at
         curvature, path_per_road, path_per_road_prime = path_shape(self.road, s, direction, d, d_prime, d_pprime)
         limits = self.config.limits
-        allowed = (limits.lateral_accel_max_mps2 / desired_speed**2).clamp(max=limits.curvature_max_1pm)
-        excess = torch.maximum(curvature.abs() - allowed, self.roadside.excess(s, direction, d, d_prime))
+        allowed = (limits.lateral_accel_max_mps2 / now.desired_speed**2).clamp(max=limits.curvature_max_1pm)
+        excess = torch.maximum(curvature.abs() - allowed, self.roadside.excess(s, direction, d, d_prime, now.size))
         first = torch.where(excess > 0, at, torch.inf).amin(1)
         weights = self.config.cost
         cost = weights.bend * torch.stack(coefficients[2:]).square().sum(0) + weights.offset * self.lateral.offset**2
@@ -195,10 +189,9 @@ class FrenetPlanner:
 
     def _assess(
         self,
-        route: RouteState,
-        desired_speed: Tensor,
+        now: Situation,
         paths: Paths,
-        blocked: list[tuple[Tensor, Tensor]],
+        blocked: list[Blocked],
         rule: "_Rule | None",
         lingering_cost: Callable[[Tensor, Tensor], Tensor] | None,
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
@@ -206,10 +199,10 @@ class FrenetPlanner:
 
         Returns with them what the longitudinal candidates are after one step: travelled, speed, accel, each [C, N].
         """
-        samples = self.longitudinal.sample(route, desired_speed)
-        is_feasible = self._is_drivable(samples, paths, route) & self._is_free(
-            samples.travelled, paths, blocked[0], route
-        )
+        route, desired_speed = now.route, now.desired_speed
+        front = route._replace(s=route.s + self.sizes.longer_m(now.size.length))  # stops are places of fronts
+        samples = self.longitudinal.sample(front, desired_speed)
+        is_feasible = self._is_drivable(samples, paths) & self._is_free(samples.travelled, paths, blocked[0], route)
         cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
         if rule is not None:
             is_feasible = is_feasible & rule.allows(samples.travelled, samples.speed)
@@ -219,8 +212,8 @@ class FrenetPlanner:
         first_step = tuple(field[:, 0] for field in samples[:3])
         if self.braking.n_candidates == 0:
             return cost, first_step
-        free_m = _free_distance(*blocked[0])
-        stops = self.braking.sample(route, free_m if rule is None else torch.minimum(free_m, rule.free_m))
+        free_m = blocked[0].free_m
+        stops = self.braking.sample(front, free_m if rule is None else torch.minimum(free_m, rule.free_m))
         stop_cost = self._stop_cost(stops, paths, desired_speed)
         strict, loose = (self._is_free(stops.travelled, paths, each, route) for each in blocked)
         if self.config.braking.standing_m is not None:
@@ -236,12 +229,12 @@ class FrenetPlanner:
         both = tuple(torch.cat(pair) for pair in zip(first_step, stopping, strict=True))
         return torch.cat([cost, stop_cost], dim=1), both
 
-    def _is_free(self, travelled: Tensor, paths: Paths, blocked: tuple[Tensor, Tensor], route: RouteState) -> Tensor:
+    def _is_free(self, travelled: Tensor, paths: Paths, blocked: Blocked, route: RouteState) -> Tensor:
         """[L, C, N] bool: candidates [C, T, N] (m) end where the path is drivable, and meet no predicted vehicle.
 
         Who stands meets nobody, where standing is a plan.
         """
-        is_free = (travelled[:, -1] <= paths.free_distance[:, None]) & ~_conflicts(travelled, *blocked)
+        is_free = (travelled[:, -1] <= paths.free_distance[:, None]) & ~blocked.holds_up(travelled)
         if self.config.braking.standing_m is not None:
             is_free = is_free | ((route.s_dot == 0) & (travelled[:, -1] < STANDING_M))
         return is_free
@@ -258,7 +251,7 @@ class FrenetPlanner:
         is_over = stops.speed[:, -1] < AT_REST_MPS / 10  # within the plan: nobody creeps on for a minute
         return torch.where((decel <= allowed) & is_over, cost, torch.inf)
 
-    def _is_drivable(self, samples: LongitudinalSamples, paths: Paths, route: RouteState) -> Tensor:
+    def _is_drivable(self, samples: LongitudinalSamples, paths: Paths) -> Tensor:
         """[L, C, N] bool: speed, acceleration and jerk stay within the limits along the path at all times."""
         limits = self.config.limits
         tolerance = 0.05  # m/s: rounding and the last centimetres before standstill; executed speeds are >= 0
@@ -276,48 +269,7 @@ class FrenetPlanner:
         lag = samples.speed - desired_speed
         return weights.jerk * samples.jerk.square().mean(1) + weights.speed * lag.square().mean(1)
 
-    def _depth(
-        self, route: RouteState, direction: Tensor, paths: Paths, predicted: PredictedPath, speed: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Depth of overlap [L, K, O, T, N] (m) with predicted vehicles at K stations around them, and the distances
-        travelled [K, O, T, N] (m) to the stations.
-        """
-        size, clearance = self.sizes.ego, self.config.clearance
-        around = self._around[:, None, None, None]  # [K, O, T, N]
-        at = predicted.s - route.s + around
-        d, d_prime, _ = self.lateral.follow(paths.coefficients, route.s, direction, at)
-        u, v, tan_heading = self.road.in_tangent_frame(predicted.s, direction, around, d, d_prime)  # [L, K, O, T, N]
-        cos, other_cos = torch.rsqrt(1 + tan_heading**2), torch.rsqrt(1 + predicted.tan_heading**2)
-        own = Boxes(u, v, cos, tan_heading * cos, size.length / 2, size.width / 2)
-        other = Boxes(
-            torch.zeros_like(predicted.d),
-            predicted.d,
-            other_cos,
-            predicted.tan_heading * other_cos,
-            size.length / 2 + clearance.ahead_m,
-            size.width / 2 + clearance.beside_m + clearance.beside_s * speed[:, None],
-        )
-        return overlap_depth(own, other), at
-
-    def _interval(self, depth: Tensor, at: Tensor, is_considered: Tensor) -> tuple[Tensor, Tensor]:
-        """First and last distance travelled [L, O, T, N] (m) with an overlap.
-
-        The depth changes by about one metre per metre at most, so a path is free for x metres from a station with depth
-        -x. The blocked interval begins and ends there. Where nothing is in the way, first > last.
-
-        is_considered: [O, T, N] bool, the other is seen and the time lies within the prediction horizon
-        """
-        before, after = depth[:, :-1], depth[:, 1:]
-        step = self._around[1] - self._around[0]
-        entered = at[:-1] + torch.minimum((-before).clamp(min=0), step)
-        left = at[1:] - torch.minimum((-after).clamp(min=0), step)
-        first = torch.where(is_considered, torch.where(after > 0, entered, torch.inf), torch.inf).amin(1)
-        last = torch.where(is_considered, torch.where(before > 0, left, -torch.inf), -torch.inf).amax(1)
-        return first, last
-
-    def _follow(
-        self, route: RouteState, direction: Tensor, first_step: tuple[Tensor, ...], paths: Paths, best: Tensor
-    ) -> RouteState:
+    def _follow(self, now: Situation, first_step: tuple[Tensor, ...], paths: Paths, best: Tensor) -> RouteState:
         """State one step along the chosen combination [N] (flat index over L x C)."""
         n_longitudinal = len(first_step[0])
         row = (best % n_longitudinal)[None]
@@ -325,33 +277,28 @@ class FrenetPlanner:
         is_at_rest = speed < 1e-3  # m/s
         speed = torch.where(is_at_rest, 0.0, speed)
         accel = torch.where(is_at_rest, 0.0, accel)
-        travelled = torch.where(is_at_rest & (route.s_dot == 0), 0.0, travelled.clamp(min=0))  # no creeping
-        chosen = best // n_longitudinal
-        return self._on_path(route, direction, paths, chosen, travelled, speed, accel)
+        travelled = torch.where(is_at_rest & (now.route.s_dot == 0), 0.0, travelled.clamp(min=0))  # no creeping
+        return self._on_path(now, paths, best // n_longitudinal, (travelled, speed, accel))
 
-    def _brake(self, route: RouteState, direction: Tensor, paths: Paths) -> RouteState:
+    def _brake(self, now: Situation, paths: Paths) -> RouteState:
         """State one step into full braking, on the path that stays free the longest."""
-        path_per_road = path_shape(self.road, route.s, direction, route.d, route.d_prime, route.d_pprime)[1]
+        route = now.route
+        path_per_road = path_shape(self.road, route.s, now.direction, route.d, route.d_prime, route.d_pprime)[1]
         decel, dt = self.config.limits.full_braking_mps2 / path_per_road, self.dt_s  # the limit holds along the path
         moving_s = (route.s_dot / decel).clamp(max=dt)
         travelled = route.s_dot * moving_s - decel * moving_s**2 / 2
         speed = (route.s_dot - decel * dt).clamp(min=0)
         accel = torch.where(speed > 0, -decel, 0.0)
-        return self._on_path(route, direction, paths, paths.free_distance.argmax(0), travelled, speed, accel)
+        return self._on_path(now, paths, paths.free_distance.argmax(0), (travelled, speed, accel))
 
     def _on_path(
-        self,
-        route: RouteState,
-        direction: Tensor,
-        paths: Paths,
-        chosen: Tensor,
-        travelled: Tensor,
-        speed: Tensor,
-        accel: Tensor,
+        self, now: Situation, paths: Paths, chosen: Tensor, motion: tuple[Tensor, Tensor, Tensor]
     ) -> RouteState:
-        all_paths = self.lateral.follow(paths.coefficients, route.s, direction, travelled)
+        """State on the chosen path [N] with `motion`: distance travelled (m), speed (m/s), acceleration (m/s2), [N]."""
+        travelled, speed, accel = motion
+        all_paths = self.lateral.follow(paths.coefficients, now.route.s, now.direction, travelled)
         point = (field.gather(0, chosen[None])[0] for field in all_paths)
-        return RouteState(route.s + travelled, speed, accel, *point)
+        return RouteState(now.route.s + travelled, speed, accel, *point)
 
 
 class _Rule(NamedTuple):
@@ -365,18 +312,6 @@ class _Rule(NamedTuple):
     allows: Callable[[Tensor, Tensor], Tensor]
 
 
-def _conflicts(travelled: Tensor, first: Tensor, last: Tensor) -> Tensor:
-    """[L, C, N] bool: a vehicle that has `travelled` [C, T, N] (m) is within a blocked interval at some time."""
-    travelled = travelled[:, None]  # [C, O, T, N]
-    within = torch.minimum(travelled - first[:, None], last[:, None] - travelled)  # [L, C, O, T, N]
-    return within.amax((2, 3)) > 0
-
-
-def _free_distance(first: Tensor, last: Tensor) -> Tensor:
-    """[N] m: distance to the first place that is ever blocked ahead, on the path on which it is the farthest."""
-    return torch.where(last > 0, first, torch.inf).amin((1, 2)).amax(0)
-
-
 def _flatten(field: Tensor) -> Tensor:
     return field.flatten(0, 1)
 
@@ -385,9 +320,3 @@ def _parked_clearance(config: ClearanceConfig, ahead: Tensor) -> Tensor:
     """[S] m: clearance to kerbs and parked cars at the distances `ahead` [S] (m) of the vehicle."""
     share = (ahead / config.parked_full_at_m).clamp(max=1)
     return config.parked_near_m + (config.parked_m - config.parked_near_m) * share
-
-
-def _stations_around(config: PlannerConfig, largest: Size) -> Tensor:
-    """[K] m, evenly spread over the distances at which two footprints with their clearances can touch at all."""
-    reach = config.touching_m(largest)
-    return torch.linspace(-reach, reach, config.n_around(largest))

@@ -8,9 +8,8 @@ enter the passage only if it has left it before the other could enter, or after 
 import torch
 from torch import Tensor
 
+from negopipe.planner.situation import Situation
 from negopipe.schema import NonNegativeFloat, PositiveFloat, schema
-from negopipe.simulation.road import Road, RouteState
-from negopipe.simulation.state import VehicleState
 from negopipe.simulation.waiting_place import Passage
 
 NEVER_S = 1e6
@@ -37,26 +36,23 @@ class GiveWayConfig:
 class GiveWay:
     """The rule on one road; places are those of centres, for both driving directions."""
 
-    def __init__(self, config: GiveWayConfig, road: Road, passage: Passage, times: Tensor) -> None:
-        self.config, self.road, self.passage = config, road, passage
+    def __init__(self, config: GiveWayConfig, passage: Passage, times: Tensor) -> None:
+        self.config, self.passage = config, passage
         self._dt_s, self._plan_s = float(times[0]), float(times[-1])
 
-    def to_passage(self, route: RouteState, direction: Tensor) -> Tensor:
+    def to_passage(self, now: Situation) -> Tensor:
         """[N] m: distance to the passage, negative behind its beginning."""
-        return self.passage.waiting_s(route.s, direction) - route.s
+        return self.passage.waiting_s(now.route.s, now.direction, now.size.length) - now.route.s
 
-    def times_of_others(
-        self, other: VehicleState, route: RouteState, direction: Tensor, is_seen: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def times_of_others(self, now: Situation) -> tuple[Tensor, Tensor]:
         """[O, N] s: earliest time at which an oncoming vehicle enters the passage, latest at which it has left it.
 
         A vehicle that does not come along never enters, and has left.
         """
-        other_direction = self.road.direction_of(other, direction)
-        its = self.road.to_route(other, other_direction)
-        leaves_after = self.passage.at(self.passage.their_leaving, route.s, direction) - its.s
-        comes = is_seen & (other_direction != direction) & (leaves_after > 0)
-        enters_after = (self.passage.at(self.passage.their_waiting, route.s, direction) - its.s).clamp(min=0)
+        passage, its, length = self.passage, now.others.route, now.others.size.length
+        leaves_after = passage.their_leaving_s(now.route.s, now.direction, length) - its.s
+        comes = now.others.is_oncoming & (leaves_after > 0)
+        enters_after = (passage.their_waiting_s(now.route.s, now.direction, length) - its.s).clamp(min=0)
         latest = torch.where(its.s_dot > SLOWEST_MPS, leaves_after / its.s_dot.clamp(min=SLOWEST_MPS), NEVER_S)
         earliest = self._soonest(enters_after, its.s_dot)
         return torch.where(comes, earliest, NEVER_S), torch.where(comes, latest, -NEVER_S)
@@ -69,17 +65,15 @@ class GiveWay:
         within = (torch.sqrt(speed**2 + 2 * accel * distance) - speed) / accel
         return torch.where(distance < gaining_m, within, gaining_s + (distance - gaining_m) / fastest)
 
-    def allows(
-        self, travelled: Tensor, speed: Tensor, route: RouteState, direction: Tensor, others: tuple[Tensor, Tensor]
-    ) -> Tensor:
+    def allows(self, travelled: Tensor, speed: Tensor, now: Situation, others: tuple[Tensor, Tensor]) -> Tensor:
         """[C, N] bool: candidates, `travelled` and `speed` [C, T, N], that keep the rule.
 
         Who is in the passage already is not held up by it.
 
         others: of `times_of_others`
         """
-        to_passage, earliest, latest = self.to_passage(route, direction), *others
-        through = self.passage.leaving_s(route.s, direction) - route.s
+        to_passage, earliest, latest = self.to_passage(now), *others
+        through = self.passage.leaving_s(now.route.s, now.direction, now.size.length) - now.route.s
         end, end_speed = travelled[:, -1], speed[:, -1].clamp(min=SLOWEST_MPS)
         enters_s = (travelled <= to_passage + ROUNDING_M).sum(1) * self._dt_s
         within_s = ((travelled < through).sum(1) + 1) * self._dt_s

@@ -6,10 +6,9 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from negopipe.planner.situation import Others
 from negopipe.schema import PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.road import Road, RouteState
-from negopipe.simulation.state import VehicleState
-from negopipe.tensors.materialize import materialize
 
 
 @schema
@@ -55,7 +54,7 @@ PredictionConfig = Annotated[ConstantVelocityConfig | ConstantAccelerationConfig
 
 
 class PredictedPath(NamedTuple):
-    """Predicted poses in the viewer's route frame; every field [..., T, N] float32.
+    """Predicted poses in the viewer's route frame; every field [O, T, N] float32.
 
     s, d: m
     tan_heading: 1, tangent of the footprint's heading relative to the line; the heading itself up to half a turn
@@ -67,18 +66,16 @@ class PredictedPath(NamedTuple):
 
 
 def predict(
-    config: PredictionConfig, road: Road, other: VehicleState, viewer_direction: Tensor, times: Tensor
+    config: PredictionConfig, road: Road, others: Others, viewer_direction: Tensor, times: Tensor
 ) -> PredictedPath:
-    """Predicted poses of the perceived vehicles `other` [..., N] at `times` [T] (s), in the frames of their viewers.
+    """Predicted poses of `others` [O, N] at `times` [T] (s), in the frames of their viewers.
 
     The lateral offset from the route decays with the distance driven, so a standing vehicle stays in its place. The
     driving direction is that of the perceived heading.
 
-    viewer_direction: [N] float32, +1 or -1
+    viewer_direction: [N]
     """
-    direction = road.direction_of(other, viewer_direction)
-    *state, direction = materialize(*road.to_route(other, direction), direction)
-    now = RouteState(*state)
+    now, direction = others.route, others.direction
     travelled = config.travelled(now, times)
     s = now.s[..., None, :] + travelled
     route_d, route_d_prime, _ = road.route_offset(s, direction[..., None, :])
@@ -89,7 +86,7 @@ def predict(
     if not road.is_straight:
         kappa, _ = road.curvature(s, direction[..., None, :])
         tan_heading = tan_heading / (1 - kappa * (route_d + offset))
-    is_same = (direction == viewer_direction)[..., None, :]
+    is_same = others.is_same[..., None, :]
     s_seen = torch.where(is_same, s, road.corridor_m(viewer_direction) - s)
     d_seen = torch.where(is_same, route_d + offset, -route_d - offset)
     return PredictedPath(s_seen, d_seen, tan_heading)

@@ -224,24 +224,38 @@ class Road(ABC):
 
     def direction_of(self, vehicles: VehicleState, seen_from: Tensor) -> Tensor:
         """Direction of vehicles [...] by their yaw, on the street of the viewers' direction `seen_from`."""
-        heading = vehicles.yaw
-        if not self.is_straight:
-            line = self.line(seen_from)
-            sigma, _ = line.project(*vehicles.position.unbind(-1))
-            heading = heading - line.heading(sigma)
-        street = seen_from.abs()
-        return torch.where(torch.cos(heading) < 0, -street, street)
+        if self.is_straight:
+            return _along(vehicles.yaw, seen_from.abs())
+        line = self.line(seen_from)
+        sigma, _ = line.project(*vehicles.position.unbind(-1))
+        return _along(vehicles.yaw - line.heading(sigma), seen_from.abs())
+
+    def to_own_route(self, vehicles: VehicleState, seen_from: Tensor) -> tuple[Tensor, RouteState]:
+        """Direction of vehicles [...] by their yaw, and their motion in the route frame of that direction.
+
+        seen_from: direction of the viewers
+        """
+        if self.is_straight:
+            direction = self.direction_of(vehicles, seen_from)
+            return direction, self._to_straight_route(vehicles, direction)
+        line = self.line(seen_from)
+        sigma, d = line.project(*vehicles.position.unbind(-1))
+        direction = _along(vehicles.yaw - line.heading(sigma), seen_from.abs())
+        return direction, self._to_bent_route(vehicles, direction, sigma, d)
 
     def to_route(self, vehicles: VehicleState, direction: Tensor) -> RouteState:
-        """World frame -> route frame.
+        """World frame -> route frame."""
+        if self.is_straight:
+            return self._to_straight_route(vehicles, direction)
+        return self._to_bent_route(vehicles, direction, *self.line(direction).project(*vehicles.position.unbind(-1)))
+
+    def _to_bent_route(self, vehicles: VehicleState, direction: Tensor, sigma: Tensor, d: Tensor) -> RouteState:
+        """World frame -> route frame of vehicles that are at `sigma` and `d` of the line.
 
         Werling 2010, Appendix I, with `path_per_road` the metres of path per metre of the line, `kappa_d_prime` the
         derivative (kappa d)' and `heading_prime` the rate at which the heading turns relative to the line, all by s.
         """
-        if self.is_straight:
-            return self._to_straight_route(vehicles, direction)
         line, sign = self.line(direction), self.sign(direction)
-        sigma, d = line.project(*vehicles.position.unbind(-1))
         d = sign * d
         kappa, kappa_prime = line.curvature(sigma)
         kappa = sign * kappa
@@ -300,3 +314,8 @@ class Road(ABC):
             accel=route.s_ddot * path_per_road + route.s_dot**2 * route.d_prime * route.d_pprime / path_per_road,
             curvature=route.d_pprime / path_per_road**3,
         )
+
+
+def _along(heading: Tensor, street: Tensor) -> Tensor:
+    """[...]: direction on a street by the heading (rad) relative to its line."""
+    return torch.where(torch.cos(heading) < 0, -street, street)

@@ -30,6 +30,7 @@ class Passage:
     """
 
     road: Road
+    sizes: Sizes
     waiting: Tensor
     leaving: Tensor
     their_waiting: Tensor
@@ -38,21 +39,28 @@ class Passage:
     @staticmethod
     def of(collisions: CollisionCheck, sizes: Sizes) -> "Passage":
         waiting, leaving = waiting_places(collisions, sizes, 0.0), _leaving_places(collisions, sizes)
-        return Passage(
-            collisions.road, waiting, leaving, *(collisions.road.seen_by_oncoming(each) for each in (waiting, leaving))
-        )
+        theirs = (collisions.road.seen_by_oncoming(each) for each in (waiting, leaving))
+        return Passage(collisions.road, sizes, waiting, leaving, *theirs)
 
-    def at(self, table: Tensor, s: Tensor, direction: Tensor) -> Tensor:
+    def waiting_s(self, s: Tensor, direction: Tensor, length: Tensor | float) -> Tensor:
+        """[...] m: `waiting` of vehicles of a length that drive in `direction` [...] and are at s [...]."""
+        return self._at(self.waiting, s, direction) - self.sizes.longer_m(length)
+
+    def leaving_s(self, s: Tensor, direction: Tensor, length: Tensor | float) -> Tensor:
+        """[...] m: `leaving` of vehicles of a length that drive in `direction` [...] and are at s [...]."""
+        return self._at(self.leaving, s, direction) + self.sizes.longer_m(length)
+
+    def their_waiting_s(self, s: Tensor, direction: Tensor, their_length: Tensor | float) -> Tensor:
+        """[...] m: `their_waiting` of oncoming vehicles of a length, for vehicles at s [...]."""
+        return self._at(self.their_waiting, s, direction) - self.sizes.longer_m(their_length)
+
+    def their_leaving_s(self, s: Tensor, direction: Tensor, their_length: Tensor | float) -> Tensor:
+        """[...] m: `their_leaving` of oncoming vehicles of a length, for vehicles at s [...]."""
+        return self._at(self.their_leaving, s, direction) + self.sizes.longer_m(their_length)
+
+    def _at(self, table: Tensor, s: Tensor, direction: Tensor) -> Tensor:
         """[...] m: values of one of the fields for vehicles that drive in `direction` [...] and are at s [...]."""
         return self.road.of_place(table, self.leaving, s, direction)
-
-    def waiting_s(self, s: Tensor, direction: Tensor) -> Tensor:
-        """[...] m: `waiting` of vehicles that drive in `direction` [...] and are at s [...]."""
-        return self.at(self.waiting, s, direction)
-
-    def leaving_s(self, s: Tensor, direction: Tensor) -> Tensor:
-        """[...] m: `leaving` of vehicles that drive in `direction` [...] and are at s [...]."""
-        return self.at(self.leaving, s, direction)
 
 
 def waiting_places(collisions: CollisionCheck, sizes: Sizes, latest_m: float) -> Tensor:

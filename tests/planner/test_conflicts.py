@@ -11,12 +11,13 @@ from typing import NamedTuple
 import pytest
 import torch
 from composed import compose_config
-from situations import Situation, draw_situations, world_boxes
+from situations import draw_situations, world_boxes
 from torch import Tensor
 
 from negopipe.game.game import build_game
-from negopipe.planner.frenet import FrenetPlanner, _conflicts
+from negopipe.planner.frenet import FrenetPlanner
 from negopipe.planner.prediction import predict
+from negopipe.planner.situation import Situation
 from negopipe.simulation.geometry import overlap_depth
 
 CUT_M = 0.08
@@ -40,15 +41,14 @@ class Checked(NamedTuple):
 
 def check(planner: FrenetPlanner, x: Situation) -> Checked:
     samples = planner.longitudinal.sample(x.route, x.desired_speed)
-    paths = planner._paths(x.route, x.direction, x.desired_speed)
-    predicted = predict(planner.config.prediction, planner.road, x.other, x.direction, planner.times)
+    paths = planner._paths(x)
+    predicted = predict(planner.config.prediction, planner.road, x.others, x.direction, planner.times)
     counts = (planner.times[:, None] <= x.horizon + planner.dt_s / 2)[None]
-    depth, at = planner._depth(x.route, x.direction, paths, predicted, x.other.speed)
-    stretches = planner._interval(depth, at, counts)
-    is_drivable = planner._is_drivable(samples, paths, x.route)
+    blocked = planner.conflicts.blocked(*planner.conflicts.depth(x, paths.coefficients, predicted), counts)
+    is_drivable = planner._is_drivable(samples, paths)
     is_forward = (samples.speed.amin(1) >= -0.05).expand_as(is_drivable)
     return Checked(
-        _conflicts(samples.travelled, *stretches),
+        blocked.holds_up(samples.travelled),
         directly(planner, x, samples.travelled, paths.coefficients).masked_fill(~counts[0], -99).amax(2),
         is_forward,
         is_drivable & (samples.travelled[:, -1] <= paths.free_distance[:, None]),
@@ -57,18 +57,18 @@ def check(planner: FrenetPlanner, x: Situation) -> Checked:
 
 def directly(planner: FrenetPlanner, x: Situation, travelled: Tensor, coefficients: tuple[Tensor, ...]) -> Tensor:
     """[L, C, T, N] m: depth of every footprint in the grown box of the other, both in the world."""
-    road, size, clearance = planner.road, planner.vehicle, planner.config.clearance
-    predicted = predict(planner.config.prediction, road, x.other, x.direction, planner.times)
+    road, size, clearance = planner.road, planner.sizes.ego, planner.config.clearance
+    predicted = predict(planner.config.prediction, road, x.others, x.direction, planner.times)
     d, d_prime, _ = planner.lateral.follow(coefficients, x.route.s, x.direction, travelled)
     s = x.route.s + travelled
     tan = d_prime / (1 - road.curvature(s, x.direction)[0] * d)
-    own = world_boxes(road, s, x.direction, d, tan, size.length_m, size.width_m)
-    length = size.length_m + 2 * clearance.ahead_m
+    own = world_boxes(road, s, x.direction, d, tan, size.length, size.width)
+    length = size.length + 2 * clearance.ahead_m
     seen = (field[0] for field in predicted)
     s, d, tan = seen
-    grown = world_boxes(road, s, x.direction, d, tan, length, size.width_m)
-    beside = clearance.beside_m + clearance.beside_s * x.other.speed[0].double()
-    return overlap_depth(own, grown._replace(half_width=size.width_m / 2 + beside))
+    grown = world_boxes(road, s, x.direction, d, tan, length, size.width)
+    beside = clearance.beside_m + clearance.beside_s * x.others.speed[0].double()
+    return overlap_depth(own, grown._replace(half_width=size.width / 2 + beside))
 
 
 @pytest.fixture(scope="module", params=[("narrow_lane", 25), ("bent_street", 10)], ids=str)

@@ -4,11 +4,13 @@ import pytest
 import torch
 from composed import compose_config
 from games import draw_tasks, drive, meet
+from situations import CAR
 from torch import Tensor
 
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game, build_game
 from negopipe.planner.following import predicted_s
+from negopipe.planner.situation import Others, Situation
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import EGO, World
 
@@ -31,7 +33,9 @@ def test_leaders_have_a_horizon_of_their_own_and_followers_none() -> None:
     at = torch.where(its_direction == torch.tensor([1.0, -1.0]), s, road.config.corridor_length_m - s)
     other = road.to_world(RouteState(at, zero + 3, zero, *road.route_offset(at, its_direction)), its_direction)
     route = RouteState(*torch.zeros(6, 2))
-    seconds = predicted_s(4.0, road, route, torch.tensor([1.0, -1.0]), torch.tensor([2.0, torch.inf]), other)
+    direction, horizon = torch.tensor([1.0, -1.0]), torch.tensor([2.0, torch.inf])
+    others = Others.of(road, other, direction, torch.ones(4, 2, dtype=torch.bool), CAR)
+    seconds = predicted_s(4.0, Situation(route, direction, horizon, horizon, CAR, others))
     assert seconds.tolist() == [[4.0, torch.inf], [0.0, 0.0], [2.0, torch.inf], [4.0, 0.0]]
 
 

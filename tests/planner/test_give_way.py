@@ -31,11 +31,9 @@ def narrow() -> tuple[RunConfig, Game]:
 def rule_of(game: Game, world: World) -> tuple[Tensor, Tensor]:
     """Earliest entry and latest exit of the other as the ego sees it, [E] s each."""
     seen = game.perceive(world).of(EGO)
-    other = map_tensors(lambda field: field[:, 0].transpose(0, 1), seen.other)
     assert game.planner.give_way is not None
-    direction = seen.direction[:, 0]
-    own = game.simulator.road.to_route(map_tensors(lambda field: field[:, 0], seen.own), direction)
-    earliest, latest = game.planner.give_way.times_of_others(other, own, direction, seen.is_seen[:, 0].transpose(0, 1))
+    now = game.planner.situation(seen, torch.full_like(seen.direction, INF))
+    earliest, latest = game.planner.give_way.times_of_others(now)
     return earliest[0], latest[0]
 
 

@@ -10,10 +10,8 @@ from negopipe.config.root import RunConfig
 from negopipe.game.game import Game, build_game
 from negopipe.planner.lingering import Lingering
 from negopipe.simulation.perception import Perception
-from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, World
-from negopipe.tensors.tree import map_tensors
 
 WAITING, LEAVING = -8.75, 20.75
 """s of the last place before and of the first behind the passage of narrow_lane, m."""
@@ -29,12 +27,7 @@ def built() -> tuple[RunConfig, Game, Lingering]:
 
 def met(game: Game, lingering: Lingering, world: World, horizon_s: list[float]) -> list[bool]:
     seen: Perception = game.perceive(world).of(EGO)
-    direction = seen.direction[:, 0]
-    own = map_tensors(lambda f: f[:, 0], seen.own)
-    other = map_tensors(lambda f: f[:, 0].transpose(0, 1), seen.other)
-    route = game.simulator.road.to_route(own, direction)
-    is_seen = seen.is_seen[:, 0].transpose(0, 1)
-    return lingering.is_met(route, direction, torch.tensor(horizon_s), other, is_seen).tolist()
+    return lingering.is_met(game.planner.situation(seen, torch.tensor(horizon_s)[:, None])).tolist()
 
 
 def test_an_oncoming_one_is_met_if_it_is_predicted_to_come(built: tuple[RunConfig, Game, Lingering]) -> None:
@@ -49,16 +42,17 @@ def test_an_oncoming_one_is_met_if_it_is_predicted_to_come(built: tuple[RunConfi
 
 
 def test_who_stays_in_the_passage_lingers(built: tuple[RunConfig, Game, Lingering]) -> None:
-    _, _, lingering = built
+    config, game, lingering = built
     ends: list[tuple[float, float]] = [
         (WAITING, 0.0), (WAITING + 0.5, 0.0), (0.0, 1.0), (0.0, 3.5), (LEAVING, 0.0), (LEAVING - 0.5, 0.0),
     ]  # fmt: skip
     end, speed = torch.tensor(ends).T
-    route = RouteState(*torch.zeros(6, 1))
+    world = meet(config, game, [[0.0, 0.0]], [[0.0, 0.0]])
+    now = game.planner.situation(game.perceive(world).of(EGO), torch.zeros(1, 1))
 
     def lingers(is_met: bool) -> list[bool]:
         at: list[Tensor] = [x[:, None, None] for x in (end, speed)]
-        return lingering.lingers(*at, route, torch.ones(1), torch.tensor([is_met]))[:, 0].tolist()
+        return lingering.lingers(*at, now, torch.tensor([is_met]))[:, 0].tolist()
 
     assert lingers(True) == [False, True, True, False, False, True]
     assert not any(lingers(False))

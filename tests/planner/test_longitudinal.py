@@ -13,8 +13,8 @@ def test_the_first_step_keeps_the_jerk_limit(game: Game) -> None:
     for seed in range(10):
         x = draw_situations(planner.road, 60, seed)
         samples = planner.longitudinal.sample(x.route, x.desired_speed)
-        paths = planner._paths(x.route, x.direction, x.desired_speed)
-        is_drivable = planner._is_drivable(samples, paths, x.route).any(0)  # [C, N]
+        paths = planner._paths(x)
+        is_drivable = planner._is_drivable(samples, paths).any(0)  # [C, N]
         planned_from = torch.maximum(x.route.s_ddot, -rate * x.route.s_dot)
         jerk = (samples.accel[:, 0] - planned_from) / dt
         n_drivable += int(is_drivable.sum())

@@ -4,11 +4,13 @@ import math
 
 import pytest
 import torch
+from situations import CAR
 
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game
 from negopipe.planner.prediction import ConstantAccelerationConfig, PredictedPath, predict
+from negopipe.planner.situation import Others
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import VehicleState
 
@@ -20,7 +22,9 @@ def roll_out(
     vehicle = VehicleState(torch.tensor([[x, y]]), yaw_, speed_, zero, zero)
     times = torch.tensor([1.0, 2.0, 4.0])
     road = game.simulator.road
-    path = predict(config.planner.prediction, road, vehicle, torch.tensor([viewer]), times)
+    direction = torch.tensor([viewer])
+    others = Others.of(road, vehicle, direction, torch.ones(1, 1, dtype=torch.bool), CAR)
+    path = predict(config.planner.prediction, road, others, direction, times)
     return PredictedPath(*(field[:, 0] for field in path))
 
 

@@ -75,7 +75,8 @@ def planned_from_anywhere(game: Game, scenario: str, n_batches: int = 12, n: int
         d, d_prime, _ = road.route_offset(x.route.s, x.direction)
         nearer = x.route._replace(d=d + 0.4 * (x.route.d - d), d_prime=d_prime + 0.3 * (x.route.d_prime - d_prime))
         own = map_tensors(lambda field: field[:, None], road.to_world(nearer, x.direction))
-        others = map_tensors(lambda field: field[0][:, None, None], x.other)
+        other = road.to_world(x.others.route, x.others.direction)
+        others = map_tensors(lambda field: field[0][:, None, None], other)
         direction = x.direction[:, None]
         motion = game.plan(replace(seen, own=own, other=others, direction=direction), x.horizon[:, None])
         is_planned = ~motion.is_full_braking

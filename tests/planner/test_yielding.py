@@ -90,7 +90,7 @@ def test_limits_and_spacing_act(option: str) -> None:
 
 def test_conflict_stations_are_as_close_as_asked() -> None:
     fine, coarse = (build_game(compose_config([f"planner.clearance.conflict_station_m={m}"])) for m in (0.6, 3.0))
-    assert len(fine.planner._around) > 4 * len(coarse.planner._around)
-    steps = [planner.planner._around.diff().amax() for planner in (fine, coarse)]
+    assert len(fine.planner.conflicts.around) > 4 * len(coarse.planner.conflicts.around)
+    steps = [planner.planner.conflicts.around.diff().amax() for planner in (fine, coarse)]
     assert float(steps[0]) <= 0.6 + 1e-5
     assert float(steps[1]) <= 3.0 + 1e-5

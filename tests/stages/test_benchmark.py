@@ -196,7 +196,7 @@ def test_work_grows_with_the_sizes(
 ) -> None:
     work = decision_workload(game, config.scenario)
     more = decision_workload(three_social, three_social_config.scenario)
-    pair = 6 * game.planner.n_around * 30 * OVERLAP  # a vehicle's paths against one other
+    pair = 6 * len(game.planner.conflicts.around) * 30 * OVERLAP  # a vehicle's paths against one other
     assert 2 * pair < work.flops < 2.5e6
     assert 10 * pair < more.flops - work.flops < 20 * pair + 2 * work.flops  # 4 see 3 each instead of 2 see 1
     pose_floats = 16 * 4 + 12
