@@ -215,8 +215,8 @@ class World:
 def world_memory(n_worlds: int, n_vehicles: int, memory_steps: int, delay_steps: int) -> Memory:
     """Memory of worlds that remember `memory_steps` past states, while everyone looks at everyone's past."""
     n_numbers = memory_steps * n_vehicles**2 * 4 + delay_steps * n_vehicles * 2
-    keys = "algorithm.n_worlds scenario.n_social scenario.n_followers scenario.dt_s observation.n_frames observation.frame_interval_s"
-    keys += " perception.delay_s perception.accel_window_s"
+    keys = "algorithm.n_worlds scenario.n_social scenario.n_followers scenario.dt_s observation.n_frames"
+    keys += " observation.frame_interval_s perception.delay_s perception.accel_window_s"
     return Memory("the worlds' past", n_worlds * n_numbers * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))
 
 

@@ -106,7 +106,7 @@ def test_a_long_vehicle_waits_with_its_front_at_the_same_place() -> None:
     assert leaving[0] == leaving[1]
     seen = passage.their_waiting_s(s, -direction, length) + length / 2
     torch.testing.assert_close(seen, waiting)
-    worlds = drive(game, world, torch.tensor([[0.0, torch.inf]] * 2), 100)
+    worlds = drive(game, world, torch.tensor([[0.0, torch.inf]] * 2), 128)
     assert not worlds[-1].has_collided.any()
     assert worlds[-1].has_reached.all()
     at_rest = [w for w in worlds if (w.vehicles.speed[:, 1] < 0.05).all()]

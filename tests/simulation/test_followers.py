@@ -1,4 +1,4 @@
-"""Vehicles behind the ego: where they start, what success and deadlock mean with them, and whose collisions they are."""
+"""Vehicles behind the ego: where they start, what success and deadlock mean with them, whose collisions they are."""
 
 from dataclasses import replace
 

@@ -55,8 +55,8 @@ def test_every_kind_is_drawn_by_its_weight_and_within_its_sizes() -> None:
         ),
         (
             ("scenario/kind=[bus]", "scenario.kinds.bus.length_m=[7.0,12.0]"),
-            "scenario.kinds.bus must fit along the routes of all streets (a longer scenario.road.swerve_length_m, a wider "
-            "gap), got 12 m x 2 m, which touches a parked car or a kerb ",
+            "scenario.kinds.bus must fit along the routes of all streets (a longer scenario.road.swerve_length_m, a "
+            "wider gap), got 12 m x 2 m, which touches a parked car or a kerb ",
         ),
         (("scenario/kind=[van]", "scenario.kinds.van.width_m=[2.0,1.9]"), "scenario.kinds.van.width_m must be "),
     ],
