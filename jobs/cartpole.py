@@ -87,6 +87,9 @@ class CartPole:
     def observe(self) -> Tensor:
         return torch.from_numpy(self._observation)
 
+    def is_learning(self) -> Tensor:
+        return torch.ones(self.n_worlds, dtype=torch.bool)
+
     def step(self, action: Tensor) -> Transition:
         reached, reward, has_fallen, is_late, _ = self.envs.step(action.numpy())
         is_truncated, is_done = is_late & ~has_fallen, is_late | has_fallen

@@ -40,6 +40,9 @@ class Corridor:
     def observe(self) -> Tensor:
         return nn.functional.one_hot(self.cell, 7).float()
 
+    def is_learning(self) -> Tensor:
+        return torch.ones(self.n_worlds, dtype=torch.bool)
+
     def step(self, action: Tensor) -> Transition:
         cell, self.steps = self.cell + 2 * action - 1, self.steps + 1
         is_success, is_collision = cell == 6, cell == 0

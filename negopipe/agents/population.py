@@ -5,9 +5,10 @@ mixture in the batch.
 """
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 from math import ceil
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ from negopipe.agents.driver import Plan
 from negopipe.agents.driver_config import HorizonRule, MotionRule
 from negopipe.agents.drivers import RuleConfig
 from negopipe.checks import WHOLE, Foresight, Problem, check_horizons, check_times
-from negopipe.schema import FileName, Fraction, Interval, NonNegativeFloat, PathText, PositiveFloat, schema
+from negopipe.schema import FileName, Fraction, Interval, NonNegativeFloat, PathText, PositiveFloat, PositiveInt, schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.scenario import Styles
 from negopipe.simulation.simulator import Simulator
@@ -97,10 +98,32 @@ class PolicyDriver:
 
 @schema
 class SelfDriver:
-    """The policy that is being trained or evaluated, on the other side; action: as for `PolicyDriver`."""
+    """The policy that is being trained or evaluated, on the other side; action: as for `PolicyDriver`.
+
+    A policy that is being trained learns from the actions that it draws here as well: self-play.
+    """
 
     kind: Literal["self"]
     action: Literal["greedy", "sample"]
+
+    def check(self, key: str, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
+        yield from ()
+
+
+@schema
+class LeagueDriver:
+    """Earlier states of the policy that is being trained, with drawn actions; in an evaluation, the policy itself.
+
+    n_members: states that are kept at a time; each is a driver of its own, `<name>_1` and so on
+    every_iterations: iterations of the training after which the policy as it is takes the place of the oldest one
+    draw: uniform = all members alike; hardest = in proportion to the share of lost episodes with each
+    """
+
+    kind: Literal["league"]
+    n_members: PositiveInt
+    every_iterations: PositiveInt
+    draw: Literal["uniform", "hardest"]
+    action: ClassVar[str] = "sample"
 
     def check(self, key: str, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
         yield from ()
@@ -114,7 +137,7 @@ class SocialDriverConfig:
     """
 
     weight: NonNegativeFloat
-    driver: Annotated[PlannerStyle | PolicyDriver | SelfDriver | RuleConfig, Field(discriminator="kind")]
+    driver: Annotated[PlannerStyle | PolicyDriver | SelfDriver | LeagueDriver | RuleConfig, Field(discriminator="kind")]
 
 
 @schema
@@ -140,6 +163,11 @@ class PopulationConfig:
         """Whether no driver reacts late or lapses."""
         return not any(planner.reaction_s[1] > 0 or planner.lapse_share > 0 for planner in self.planners.values())
 
+    @property
+    def has_learners(self) -> bool:
+        """Whether there is a driver from whose actions the policy learns."""
+        return any(is_learner(each.driver) for each in self.drivers.values())
+
     def check(self, dt_s: float, foresight: Foresight, remembered_s: float) -> Iterator[Problem]:
         """foresight: of the planner; remembered_s: age of the oldest state of another that a driver knows."""
         for name, planner in self.planners.items():
@@ -152,29 +180,52 @@ class PopulationConfig:
     def check_self(self, place: str) -> Iterator[Problem]:
         """A `place` where no policy is trained or evaluated, so that none can drive as itself."""
         for name, each in self.drivers.items():
-            if isinstance(each.driver, SelfDriver):
+            if isinstance(each.driver, SelfDriver | LeagueDriver):
                 rule = f"name a checkpoint (kind: policy) in {place}, where no policy is at hand"
                 yield Problem(f"population.drivers.{name}.driver.kind", rule, each.driver.kind)
+
+
+def is_learner(driver: object) -> bool:
+    """Whether the actions of a driver are drawn by the policy that is being trained, which then learns from them."""
+    return isinstance(driver, SelfDriver) and driver.action == "sample"
+
+
+def _entries(population: PopulationConfig) -> Iterator[tuple[str, float, object]]:
+    """Name, weight and driver of everybody; the members of a league share its weight."""
+    for name, each in population.drivers.items():
+        if isinstance(each.driver, LeagueDriver):
+            n = each.driver.n_members
+            yield from ((f"{name}_{i + 1}", each.weight / n, each.driver) for i in range(n))
+        else:
+            yield name, each.weight, each.driver
 
 
 class Cast:
     """The population at work in worlds of one scenario.
 
     names: of the drivers; a task holds their indices
+    weights: [K] float64, of the drivers
+    learned: drivers that a policy drives, by index
+    learners: of these, by index, those whose drawn actions are decisions of the policy that is being trained
     """
 
     def __init__(self, population: PopulationConfig, simulator: Simulator) -> None:
-        drivers = [each.driver for each in population.drivers.values()]
-        self.names = tuple(population.drivers)
-        self.learned = {i: d for i, d in enumerate(drivers) if isinstance(d, PolicyDriver | SelfDriver)}
-        weights = torch.tensor([each.weight for each in population.drivers.values()], dtype=torch.float64)
-        self._until = (weights.cumsum(0) / weights.sum()).float().to(simulator.road.device)
+        self.names, weights, drivers = zip(*_entries(population), strict=True)
+        self.weights = torch.tensor(weights, dtype=torch.float64, device=simulator.road.device)
+        self.learned = {i: d for i, d in enumerate(drivers) if isinstance(d, PolicyDriver | SelfDriver | LeagueDriver)}
+        self.learners = tuple(index for index, driver in enumerate(drivers) if is_learner(driver))
         self._planners = {i: d for i, d in enumerate(drivers) if isinstance(d, PlannerStyle)}
         self._horizon_rules = {i: d.choose(simulator) for i, d in enumerate(drivers) if isinstance(d, HorizonRule)}
         self._motion_rules = {i: d.rule(simulator) for i, d in enumerate(drivers) if isinstance(d, MotionRule)}
         self._dt_s, n_steps = simulator.scenario.dt_s, simulator.scenario.episode_steps
         self._redraw_steps = {i: round((d.redraw_s or 0) / self._dt_s) for i, d in self._planners.items()}
         self._n_redrawn = max((ceil(n_steps / n) for n in self._redraw_steps.values() if n), default=0)
+
+    def weighted(self, weights: Tensor) -> "Cast":
+        """The same cast with other weights [K] of its drivers."""
+        cast = copy(self)
+        cast.weights = weights
+        return cast
 
     def assign(self, task: Task) -> Task:
         """The tasks with a driver for every social vehicle, and with the horizons that these bring along.
@@ -183,7 +234,8 @@ class Cast:
         """
         vehicle = torch.arange(task.direction.shape[1], device=task.direction.device)
         key = mix(mix(mix(task.noise_seed)[:, None] + vehicle) + CAST)
-        driver = torch.searchsorted(self._until, uniform(key, DRIVER), right=True).clamp(max=len(self._until) - 1)
+        until = (self.weights.cumsum(0) / self.weights.sum()).float()
+        driver = torch.searchsorted(until, uniform(key, DRIVER), right=True).clamp(max=len(until) - 1)
         driver[:, EGO] = NOBODY
         style, has_own = task.style_horizon, torch.zeros_like(driver, dtype=torch.bool)
         for index in range(len(self.names)):

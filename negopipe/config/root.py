@@ -190,7 +190,8 @@ def _memory(config: RunConfig) -> Iterator[Memory]:
     yield world_memory(config.algorithm.n_worlds, n_vehicles, remembered, config.dynamics.delay_steps(dt_s))
     layers = layer_sizes(config.policy, observation.n_frames, observation.n_cells)
     yield network_memory(layers)
-    yield from config.algorithm.memory(layers, n_seen)
+    n_agents = n_vehicles if config.population.has_learners else 1
+    yield from config.algorithm.memory(layers, n_seen, n_agents)
     yield config.evaluation.memory(scenario)
     if "train" in stages:
         yield from config.curriculum.memory(n_steps, n_seen)

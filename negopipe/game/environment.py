@@ -7,7 +7,7 @@ from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.learning.rollout import Transition
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import NEAREST, World
+from negopipe.simulation.state import EGO, NEAREST, World
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
 from negopipe.tensors.tree import map_tensors, named_tensors, tree_where, with_tensors
 
@@ -15,8 +15,12 @@ from negopipe.tensors.tree import map_tensors, named_tensors, tree_where, with_t
 class NegotiationEnv:
     """E worlds of one scenario; satisfies `negopipe.learning.rollout.Environment`.
 
-    The ego's action is an index into `horizons_s`. Social vehicles drive in the styles of their tasks. A world whose
-    episode is over starts a new task at once, drawn from `sampler`, which the curriculum replaces at stage ends.
+    An agent's action is an index into `horizons_s`. The egos are agents, and with `learners` so are all V - 1 social
+    vehicles: agent v E + e is vehicle v of world e. Social vehicles whose driver is one of the learners do what their
+    actions say, all others drive by their tasks. A world whose episode is over starts a new task at once, drawn from
+    `sampler`, which the curriculum replaces at stage ends.
+
+    learners: drivers of the population, by index, whose decisions are those of the policy that learns
     """
 
     def __init__(
@@ -26,39 +30,59 @@ class NegotiationEnv:
         horizons_s: tuple[float, ...],
         sampler: TaskSampler,
         n_worlds: int,
+        learners: tuple[int, ...] = (),
     ) -> None:
         self.game, self.reward_config, self.sampler, self.n_worlds = game, reward_config, sampler, n_worlds
-        self.restart()
-        self._horizons = torch.tensor(horizons_s, device=self.world.step.device)
+        device = game.planner.times.device
+        self._horizons = torch.tensor(horizons_s, device=device)
+        self._learners = torch.tensor(learners, dtype=torch.int64, device=device)
         self.n_actions = len(horizons_s)
+        self.restart()
 
     def restart(self, is_chosen: Tensor | None = None) -> None:
         """Start a new task in every world, or in the chosen ones [E] bool only, which get the same tasks either way."""
         started = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
         self.world: World = started if is_chosen is None else tree_where(is_chosen, started, self.world)
-        self._observation = self.game.see(self.world)
+        self._observation = self._seen(self.world, self.game.see(self.world))
 
     def observe(self) -> Tensor:
-        """[E, F, H, W] uint8, 0 or 1: the present grids of the ego."""
+        """[A, F, H, W] uint8, 0 or 1: the present grids of the agents; 0 for those that do not learn."""
         return self._observation
 
+    def is_learning(self) -> Tensor:
+        """[A] bool: egos, and social vehicles that a learner drives and that have not collided."""
+        is_learning = self._drives_as_learner(self.world)
+        is_learning[:, EGO] = True
+        return is_learning[:, : self._n_seats].T.flatten()
+
     def step(self, action: Tensor) -> Transition:
-        """Drive every vehicle for one control step; `action` [E] int64 is the ego's."""
-        world = self.world
-        moved, events, reached = self.game.advance(world, self.game.choose(world, self._horizons[action]))
+        """Drive every vehicle for one control step; `action` [A] int64."""
+        world, chosen = self.world, self._horizons[action].unflatten(0, (-1, self.n_worlds)).T  # [E, 1 or V]
+        horizons = self.game.choose(world, chosen[:, EGO])
+        if len(self._learners):
+            horizons = torch.where(self._drives_as_learner(world), chosen, horizons)
+        moved, events, seen = self.game.advance(world, horizons)
+        reached = self._seen(moved, seen)
+        has_crashed = (moved.has_collided & ~world.has_collided)[:, : self._n_seats]
+        has_crashed = has_crashed | events.is_collision[:, None]  # of the ego, which ends the episode for all
+        is_terminated = (has_crashed | events.is_terminated[:, None]).T.flatten()
+        is_truncated = events.is_truncated.repeat(self._n_seats) & ~is_terminated
         which = (events.is_terminated | events.is_truncated).nonzero()[:, 0]
-        final = self._start_again(moved, reached, which)
+        final = reached[is_terminated | is_truncated]
+        self._start_again(moved, reached, which)
+        is_success = events.is_success[:, None].expand_as(has_crashed)
         return Transition(
             observation=self._observation,
             final_observation=final,
-            reward=reward(self.reward_config, events.is_collision, events.is_success),
-            is_terminated=events.is_terminated,
-            is_truncated=events.is_truncated,
+            reward=reward(self.reward_config, has_crashed.T.flatten(), is_success.T.flatten()),
+            is_terminated=is_terminated,
+            is_truncated=is_truncated,
             is_success=events.is_success,
             is_collision=events.is_collision,
             final_info={
                 "social_start_distance_m": world.task.start_distance[which, NEAREST],
                 "style_horizon_s": world.task.style_horizon[which, NEAREST],
+                "social_driver": world.task.casting.driver[which, NEAREST],
             },
         )
 
@@ -73,15 +97,33 @@ class NegotiationEnv:
         self._observation = state["observation"].to(self._observation.device)
         self.sampler.generator.set_state(state["tasks"])
 
-    def _start_again(self, moved: World, reached: Tensor, which: Tensor) -> Tensor:
-        """Continue from `moved`, with observations `reached` [E, F, H, W] and new tasks in the D worlds `which`.
+    @property
+    def _n_seats(self) -> int:
+        """Vehicles of a world that are agents."""
+        return self.world.task.direction.shape[1] if len(self._learners) else 1
 
-        Returns the final observations of the D episodes that are over, [D, F, H, W].
-        """
+    def _drives_as_learner(self, world: World) -> Tensor:
+        """[E, V] bool: a learner drives the social vehicle, which has not collided."""
+        return torch.isin(world.task.casting.driver, self._learners) & ~world.has_collided
+
+    def _seen(self, world: World, by_egos: Tensor) -> Tensor:
+        """[A, F, H, W]: observations of all agents of E worlds, from those of the egos [E, F, H, W]."""
+        if not len(self._learners):
+            return by_egos
+        n_worlds = len(by_egos)
+        others = by_egos.new_zeros((self._n_seats - 1) * n_worlds, *by_egos.shape[1:])
+        row, vehicle = self._drives_as_learner(world).nonzero().unbind(1)
+        if len(row):
+            part = map_tensors(lambda field: field.index_select(0, row), world)
+            others.index_copy_(0, (vehicle - 1) * n_worlds + row, self.game.see_as(part, vehicle))
+        return torch.cat([by_egos, others])
+
+    def _start_again(self, moved: World, reached: Tensor, which: Tensor) -> None:
+        """Continue from `moved`, with observations `reached` [A, F, H, W], and with new tasks in the worlds `which`."""
         self.world, self._observation = moved, reached
-        final = reached[which]
-        if len(which) > 0:
-            started = self.game.simulator.reset(self.sampler.draw(len(which)))
-            self.world = map_tensors(lambda field, new: field.index_copy(0, which, new), moved, started)
-            reached.index_copy_(0, which, self.game.see(started))
-        return final
+        if len(which) == 0:
+            return
+        started = self.game.simulator.reset(self.sampler.draw(len(which)))
+        self.world = map_tensors(lambda field, new: field.index_copy(0, which, new), moved, started)
+        agents = (torch.arange(self._n_seats, device=which.device)[:, None] * self.n_worlds + which).flatten()
+        reached.index_copy_(0, agents, self._seen(started, self.game.see(started)))

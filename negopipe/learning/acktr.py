@@ -45,8 +45,8 @@ class NaturalGradientConfig(UpdateConfig):
 
     kfac: KfacConfig
 
-    def memory(self, layers: Sequence[LayerSize], n_observation: int) -> Iterator[Memory]:
-        yield from super().memory(layers, n_observation)
+    def memory(self, layers: Sequence[LayerSize], n_observation: int, n_agents: int) -> Iterator[Memory]:
+        yield from super().memory(layers, n_observation, n_agents)
         yield from self.kfac.memory(layers, self.n_samples)
 
 

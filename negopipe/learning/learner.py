@@ -71,11 +71,12 @@ class Learner:
         """
         config = self.config
         advantage, returns = estimate_advantage(rollout, config.gamma, config.advantage)
+        given = (rollout.observation, rollout.action, rollout.log_prob, advantage, returns, rollout.value)
+        seen, action, log_prob, advantage, returns, value = (_learned_from(f, rollout.is_learning) for f in given)
         self._track_returns(returns)
-        explained = 1 - (returns - rollout.value).var() / returns.var().clamp(min=STD_MIN**2)
+        explained = 1 - (returns - value).var() / returns.var().clamp(min=STD_MIN**2)
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
-        fields = (rollout.observation, rollout.action, rollout.log_prob, advantage, returns)
-        decisions = Decisions(*(field.flatten(0, 1) for field in fields))
+        decisions = Decisions(seen, action, log_prob, advantage, returns)
         demonstrated = (
             None if self.demonstrations is None else self.demonstrations.show(self.policy, progress, self.generator)
         )
@@ -113,3 +114,8 @@ class Learner:
         mean, mean_square = self.return_moments
         std = (mean_square - mean.square()).clamp(min=STD_MIN**2).sqrt()
         self.policy.rescale_value(mean, std, keep_value=self.n_rollouts > 1)
+
+
+def _learned_from(field: Tensor, is_learning: Tensor) -> Tensor:
+    """[N, ...]: the rows of a field [T, A, ...] of the decisions to learn from."""
+    return field.flatten(0, 1) if is_learning.all() else field[is_learning]

@@ -1,6 +1,7 @@
 """Rollouts of a policy in an environment, and the interface of an environment.
 
-Axes: T steps of the rollout, E worlds. `*obs` is the shape of one observation.
+Axes: T steps of the rollout, E worlds, A agents, of which the first E are the egos of the worlds. A world may hold
+further agents that the policy drives, as in self-play. `*obs` is the shape of one observation.
 """
 
 from dataclasses import dataclass, field
@@ -14,15 +15,15 @@ from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
 
 @dataclass(frozen=True)
 class Transition:
-    """One decision of every world.
+    """One decision of every agent.
 
-    observation: [E, *obs], next observation; where the episode is over, the first one of the next episode
-    final_observation: [D, *obs] of the states reached in the D worlds whose episode is over, in their order
-    reward: [E] float32
-    is_terminated: [E] bool, the episode is over: every vehicle has arrived, or a collision
-    is_truncated: [E] bool, the episode was cut off, as at the time limit; the state reached has a value
-    is_success, is_collision: [E] bool, outcome of the episode; meaningful only where it is over
-    final_info: name -> [D], further facts of the episodes that are over, for the record only
+    observation: [A, *obs], next observation; where the episode is over, the first one of the next episode
+    final_observation: [D, *obs] of the states reached by the D agents whose episode is over, in their order
+    reward: [A] float32
+    is_terminated: [A] bool, the episode is over: every vehicle has arrived, or a collision
+    is_truncated: [A] bool, the episode was cut off, as at the time limit; the state reached has a value
+    is_success, is_collision: [E] bool, outcome of the episode; meaningful only where the ego's is over
+    final_info: name -> [D], further facts of the egos' episodes that are over, for the record only
     """
 
     observation: Tensor
@@ -34,6 +35,11 @@ class Transition:
     is_collision: Tensor
     final_info: dict[str, Tensor] = field(default_factory=dict)
 
+    @property
+    def is_done(self) -> Tensor:
+        """[A] bool: the episode is over."""
+        return self.is_terminated | self.is_truncated
+
 
 class Environment(Protocol):
     """E worlds that step together; where an episode is over, the next one starts at once."""
@@ -41,32 +47,38 @@ class Environment(Protocol):
     n_worlds: int
 
     def observe(self) -> Tensor:
-        """Present observations, [E, *obs]."""
+        """Present observations, [A, *obs]."""
+        ...
+
+    def is_learning(self) -> Tensor:
+        """[A] bool: the policy drives the agent, so its decision is one to learn from; true of every ego."""
         ...
 
     def step(self, action: Tensor) -> Transition:
-        """Carry out the actions [E] int64."""
+        """Carry out the actions [A] int64; those of agents that another driver drives mean nothing."""
         ...
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """T decisions of E worlds, on the environment's device.
+    """T decisions of A agents, on the environment's device.
 
-    observation: [T, E, *obs] in the environment's dtype, s_t
-    action: [T, E] int64, a_t
-    log_prob: [T, E] float32, log pi(a_t|s_t)
-    reward, value: [T, E] float32, r_t and V(s_t)
-    is_terminated, is_truncated: [T, E] bool
-    final_value: [T, E] float32, value of the final observation where truncated, else 0
-    last_value: [E] float32, V(s_T)
-    episode_return: [T, E] float32, undiscounted return of the episode that ended with step t; NaN where none did
+    observation: [T, A, *obs] in the environment's dtype, s_t
+    is_learning: [T, A] bool, a decision of the policy; what is said of others means nothing
+    action: [T, A] int64, a_t
+    log_prob: [T, A] float32, log pi(a_t|s_t)
+    reward, value: [T, A] float32, r_t and V(s_t)
+    is_terminated, is_truncated: [T, A] bool
+    final_value: [T, A] float32, value of the final observation where truncated, else 0
+    last_value: [A] float32, V(s_T)
+    episode_return: [T, E] float32, undiscounted return of the ego's episode that ended with step t; NaN where none did
     episode_steps: [T, E] int64, its number of decisions; 0 where none ended
     is_success, is_collision: [T, E] bool, its outcome; false where none ended
-    final_info: name -> [N], `Transition.final_info` of the N episodes that ended, in the order of `is_done`
+    final_info: name -> [N], `Transition.final_info` of the N episodes that ended, in the order of `is_over`
     """
 
     observation: Tensor
+    is_learning: Tensor
     action: Tensor
     log_prob: Tensor
     reward: Tensor
@@ -83,8 +95,13 @@ class Rollout:
 
     @property
     def is_done(self) -> Tensor:
-        """[T, E] bool: an episode ended with step t."""
+        """[T, A] bool: an agent's episode ended with step t."""
         return self.is_terminated | self.is_truncated
+
+    @property
+    def is_over(self) -> Tensor:
+        """[T, E] bool: a world's episode ended with step t."""
+        return self.is_done[:, : self.episode_return.shape[1]]
 
 
 @dataclass(frozen=True)
@@ -114,45 +131,56 @@ def collect(
     steps: list[dict[str, Tensor]] = []
     infos: list[dict[str, Tensor]] = []
     for t in range(n_steps):
-        observations[t] = observation
-        logits, value = policy(observation)
+        observations[t], is_learning = observation, env.is_learning()
+        logits, value = _run(policy, observation, is_learning)
         action = sample_action(logits, generator)
         transition = env.step(action)
         running, ended = _count(running, transition)
         steps.append(
             {
+                "is_learning": is_learning,
                 "action": action,
                 "log_prob": log_prob_of(action, logits.log_softmax(-1)),
                 "reward": transition.reward,
                 "value": value,
                 "is_terminated": transition.is_terminated,
                 "is_truncated": transition.is_truncated,
-                "final_value": _final_value(policy, transition),
+                "final_value": _final_value(policy, transition, is_learning),
                 **ended,
             }
         )
         infos.append(transition.final_info)
         observation = transition.observation
-    last_value = policy(observation)[1]
+    last_value = _run(policy, observation, env.is_learning())[1]
     stacked = {name: torch.stack([step[name] for step in steps]) for name in steps[0]}
     final_info = {name: torch.cat([info[name] for info in infos]) for name in infos[0]}
     return Rollout(observation=observations, **stacked, last_value=last_value, final_info=final_info), running
 
 
-def _final_value(policy: ActorCritic, transition: Transition) -> Tensor:
-    """[E] float32: values of the final observations where truncated, else 0; the network is run on those only."""
+def _run(policy: ActorCritic, observation: Tensor, is_learning: Tensor) -> tuple[Tensor, Tensor]:
+    """Logits [A, n_actions] and values [A] for observations [A, *obs]; 0 for those that the policy does not drive."""
+    if is_learning.all():
+        return policy(observation)
+    index = is_learning.nonzero()[:, 0]
+    outputs = policy(observation[index])
+    logits, value = (each.new_zeros(len(observation), *each.shape[1:]).index_copy(0, index, each) for each in outputs)
+    return logits, value
+
+
+def _final_value(policy: ActorCritic, transition: Transition, is_learning: Tensor) -> Tensor:
+    """[A] float32: values of the final observations where truncated, else 0; the network is run on those only."""
     final_value = torch.zeros_like(transition.reward)
-    is_done = transition.is_terminated | transition.is_truncated
-    if transition.is_truncated.any():
-        final = transition.final_observation[transition.is_truncated[is_done]]
-        final_value[transition.is_truncated] = policy(final)[1]
+    is_valued = transition.is_truncated & is_learning
+    if is_valued.any():
+        final_value[is_valued] = policy(transition.final_observation[is_valued[transition.is_done]])[1]
     return final_value
 
 
 def _count(running: RunningEpisodes, transition: Transition) -> tuple[RunningEpisodes, dict[str, Tensor]]:
-    """The running episodes after a step, and the results of those that it ended."""
-    is_done = transition.is_terminated | transition.is_truncated
-    reward_sum = running.reward_sum + transition.reward
+    """The running episodes of the egos after a step, and the results of those that it ended."""
+    n_worlds = len(running.n_steps)
+    is_done = transition.is_done[:n_worlds]
+    reward_sum = running.reward_sum + transition.reward[:n_worlds]
     n_steps = running.n_steps + 1
     ended = {
         "episode_return": torch.where(is_done, reward_sum, torch.nan),

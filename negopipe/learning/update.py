@@ -76,11 +76,15 @@ class UpdateConfig:
         """Decisions of a minibatch, at most."""
         return min(self.minibatch_size, self.n_worlds * self.n_steps)
 
-    def memory(self, layers: Sequence[LayerSize], n_observation: int) -> Iterator[Memory]:
-        """Memory of an iteration, for a network of such layers that sees `n_observation` bytes per decision."""
+    def memory(self, layers: Sequence[LayerSize], n_observation: int, n_agents: int) -> Iterator[Memory]:
+        """Memory of an iteration, for a network of such layers that sees `n_observation` bytes per decision.
+
+        n_agents: vehicles of a world that the policy may drive
+        """
         seen = ("observation.n_frames", "observation.n_cells")
-        n_bytes = 2 * self.n_worlds * self.n_steps * n_observation  # as collected, and in the order of learning
-        yield Memory("a rollout", n_bytes, ("algorithm.n_worlds", "algorithm.n_steps", *seen))
+        n_bytes = 2 * self.n_worlds * n_agents * self.n_steps * n_observation  # as collected, and as learnt from
+        sides = ("scenario.n_social",) if n_agents > 1 else ()
+        yield Memory("a rollout", n_bytes, ("algorithm.n_worlds", "algorithm.n_steps", *sides, *seen))
         n_numbers = n_observation + sum(layer.n_outputs * layer.side**2 for layer in layers)
         n_bytes = self.n_samples * n_numbers * FLOAT_BYTES * N_COPIES
         keys = ("algorithm.minibatch_size", "algorithm.n_worlds", "algorithm.n_steps", *seen, "policy.conv")

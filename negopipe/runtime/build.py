@@ -1,6 +1,7 @@
 """The game, the policy and the device of a config; saving and loading of policies."""
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 from torch import Tensor
 
 from negopipe.agents.learned import Learned, with_policies
-from negopipe.agents.population import SelfDriver
+from negopipe.agents.population import PolicyDriver
 from negopipe.config.compose import load_config
 from negopipe.errors import UserError
 from negopipe.game.game import Game, build_game
@@ -50,13 +51,22 @@ def game_of(config: "RunConfig") -> Game:
     return with_learned(_built[key], config, None)
 
 
-def with_learned(game: Game, config: "RunConfig", own: ActorCritic | None) -> Game:
-    """The game with the population's policies; own: the one of the kind `self`."""
+def with_learned(
+    game: Game, config: "RunConfig", own: ActorCritic | None, members: Mapping[int, ActorCritic] | None = None
+) -> Game:
+    """The game with the population's policies.
+
+    own: the policy of the kinds `self` and `league`; None = there is none
+    members: in a training, the policies of the league by index in the cast. Learners are left out: the environment
+        lets `own` act for them
+    """
     learned = {}
     for index, driver in game.cast.learned.items():
-        policy = own if isinstance(driver, SelfDriver) else load_policy(driver.checkpoint, config)
+        if members is not None and index in game.cast.learners:
+            continue
+        policy = load_policy(driver.checkpoint, config) if isinstance(driver, PolicyDriver) else own
         if policy is not None:
-            policy = policy.to(game.planner.times.device)
+            policy = (members or {}).get(index, policy).to(game.planner.times.device)
             learned[index] = Learned(policy, config.policy.horizons_s, driver.action == "sample")
     return with_policies(game, learned)
 

@@ -60,14 +60,14 @@ class LearningCurve:
         return row
 
     def _count_episodes(self, decisions: int, rollout: Rollout) -> None:
-        is_done = rollout.is_done
+        is_over = rollout.is_over
         ended = {
-            "return": rollout.episode_return[is_done],
-            "is_success": rollout.is_success[is_done],
-            "is_collision": rollout.is_collision[is_done],
+            "return": rollout.episode_return[is_over],
+            "is_success": rollout.is_success[is_over],
+            "is_collision": rollout.is_collision[is_over],
             **rollout.final_info,
         }
-        ended = {"decisions": torch.full((int(is_done.sum()),), decisions), **ended}
+        ended = {"decisions": torch.full((int(is_over.sum()),), decisions), **ended}
         new = {name: values.to("cpu", torch.float64) for name, values in ended.items()}
         self.episodes = {name: torch.cat([self.episodes.get(name, values[:0]), values]) for name, values in new.items()}
 

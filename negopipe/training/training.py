@@ -11,7 +11,7 @@ from negopipe.game.curriculum import Curriculum, CurriculumStageConfig
 from negopipe.game.environment import NegotiationEnv
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
-from negopipe.runtime.build import build, device_of, load_weights, save_policy
+from negopipe.runtime.build import build, device_of, game_of, load_weights, save_policy, with_learned
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
 from negopipe.tensors.seeding import generator
@@ -20,6 +20,7 @@ from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME, HISTORY_NAME, TRAINING_EPISODES_NAME
 from negopipe.tracking.snapshots import Snapshots
 from negopipe.training.demonstration_search import demonstrations
+from negopipe.training.league import League
 from negopipe.training.learning_curve import MEANS_OF_EPISODES, LearningCurve
 
 if TYPE_CHECKING:
@@ -50,12 +51,14 @@ class Training:
         self.n_steps = algorithm.n_steps
         self.curriculum, self._reward = Curriculum(config.curriculum), config.reward
         scenario = config.curriculum.scenario(config.scenario)
+        self.league = League(game.cast, self.policy)
         self._samplers = [
-            TaskSampler(scenario, stage.families, tasks, game.cast.assign, scenario.training_streets)
+            TaskSampler(scenario, stage.families, tasks, self.league.assign, scenario.training_streets)
             for stage in config.curriculum.stages
         ]
-        horizons_s = config.policy.horizons_s
-        self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds)
+        game = with_learned(game_of(config), config, self.policy, self.league.members)
+        horizons_s, learners = config.policy.horizons_s, game.cast.learners
+        self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds, learners)
         self.running = RunningEpisodes.start(algorithm.n_worlds, device)
         self.weights_before = _copy(self.policy)
         self.is_at_stage_end = False
@@ -74,6 +77,8 @@ class Training:
         stage = self._select_task_distribution()
         rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
         metrics = self.learner.update(rollout, self.n_done / self.n_total)  # advantages, then the algorithm's updates
+        self.league.record(rollout.final_info["social_driver"], rollout.is_success[rollout.is_over])
+        self.league.admit(self.policy, self.n_done + 1)
         return self._record(stage, rollout, metrics)
 
     def _select_task_distribution(self) -> CurriculumStageConfig:
@@ -86,7 +91,7 @@ class Training:
     def _record(self, stage: CurriculumStageConfig, rollout: Rollout, metrics: dict[str, float]) -> dict:
         """Add the iteration to the learning curve and count it in its stage; returns its row of the curve."""
         row = self.curve.add(stage.name, rollout, metrics)
-        is_over = self.curriculum.finish_iteration(rollout.is_success[rollout.is_done].tolist())
+        is_over = self.curriculum.finish_iteration(rollout.is_success[rollout.is_over].tolist())
         self.is_at_stage_end = is_over or self.n_done == self.n_total
         return row
 
@@ -102,6 +107,7 @@ class Training:
             add_prefix("policy", self.policy.state_dict())
             | add_prefix("learner", self.learner.state_dict())
             | add_prefix("env", self.env.state_dict())
+            | add_prefix("league", self.league.state_dict())
             | add_prefix("running", named_tensors(self.running))
             | add_prefix("episodes", self.curve.episodes)
             | {"actions": self.actions.get_state()}
@@ -118,6 +124,7 @@ class Training:
         self.policy.load_state_dict(strip_prefix("policy", state))
         self.learner.load_state_dict(strip_prefix("learner", state))
         self.env.load_state_dict(strip_prefix("env", state))
+        self.league.load_state_dict(strip_prefix("league", state))
         self.running = with_tensors(self.running, strip_prefix("running", state))
         self.actions.set_state(state["actions"])
         self.curve.load_state_dict(progress["curve"], strip_prefix("episodes", state))

@@ -20,6 +20,7 @@ def one_world(terminated: int | None = None, truncated: int | None = None) -> Ro
         final_value[truncated] = 7.0
     return Rollout(
         observation=torch.zeros(4, 1, 1),
+        is_learning=~done,
         action=torch.zeros(4, 1, dtype=torch.int64),
         log_prob=torch.zeros(4, 1),
         reward=torch.tensor([[1.0], [2.0], [3.0], [4.0]]),

@@ -24,6 +24,9 @@ class Counter:
     def observe(self) -> Tensor:
         return self.steps[:, None]
 
+    def is_learning(self) -> Tensor:
+        return torch.ones(self.n_worlds, dtype=torch.bool)
+
     def step(self, action: Tensor) -> Transition:
         reached = self.steps + 1
         is_terminated = torch.stack([reached[0] == 3, torch.tensor(False)])

@@ -86,6 +86,17 @@ def test_so_does_every_algorithm(tmp_path: Path, algorithm: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["acktr", "ppo"])
+def test_so_does_self_play(tmp_path: Path, algorithm: str) -> None:
+    league = ("draw=hardest", "every_iterations=2", "n_members=2")
+    changed = (f"algorithm={algorithm}", "population/driver=[planner,self,league]")
+    changed += tuple(f"population.drivers.league.driver.{each}" for each in league)
+    whole, (checkpoint, history) = (drive(tmp_path / f"{len(d)}", *changed, deaths=d) for d in ((), (2, 3)))
+    assert checkpoint == whole[0]
+    pd.testing.assert_frame_equal(history, whole[1], check_exact=True)
+
+
+@pytest.mark.slow
 def test_so_does_a_stage_that_ends_early(tmp_path: Path) -> None:
     whole, (checkpoint, history) = (drive(tmp_path / f"{len(d)}", *KFAC, *EARLY, deaths=d) for d in ((), (2, 3)))
     assert checkpoint == whole[0]
