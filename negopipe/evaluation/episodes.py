@@ -55,6 +55,7 @@ class EvaluationConfig:
         """Memory of the traces of all planners in all settings."""
         n_driven = self.n_episodes * len(self.settings) * (1 + len(self.baselines))
         keys = "evaluation.n_episodes evaluation.settings evaluation.baselines scenario.episode_steps scenario.n_social"
+        keys += " scenario.n_followers"
         n_bytes = trace_bytes(n_driven, scenario.episode_steps, scenario.n_vehicles)
         return Memory("the evaluation", n_bytes, tuple(keys.split()))
 

@@ -83,7 +83,7 @@ class UpdateConfig:
         """
         seen = ("observation.n_frames", "observation.n_cells")
         n_bytes = 2 * self.n_worlds * n_agents * self.n_steps * n_observation  # as collected, and as learnt from
-        sides = ("scenario.n_social",) if n_agents > 1 else ()
+        sides = ("scenario.n_social", "scenario.n_followers") if n_agents > 1 else ()
         yield Memory("a rollout", n_bytes, ("algorithm.n_worlds", "algorithm.n_steps", *sides, *seen))
         n_numbers = n_observation + sum(layer.n_outputs * layer.side**2 for layer in layers)
         n_bytes = self.n_samples * n_numbers * FLOAT_BYTES * N_COPIES

@@ -200,8 +200,8 @@ class FrenetPlanner:
         Returns with them what the longitudinal candidates are after one step: travelled, speed, accel, each [C, N].
         """
         route, desired_speed = now.route, now.desired_speed
-        front = route._replace(s=route.s + self.sizes.longer_m(now.size.length))  # stops are places of fronts
-        samples = self.longitudinal.sample(front, desired_speed)
+        at_stops = self._as_ego(now)
+        samples = self.longitudinal.sample(at_stops, desired_speed)
         is_feasible = self._is_drivable(samples, paths) & self._is_free(samples.travelled, paths, blocked[0], route)
         cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
         if rule is not None:
@@ -213,7 +213,7 @@ class FrenetPlanner:
         if self.braking.n_candidates == 0:
             return cost, first_step
         free_m = blocked[0].free_m
-        stops = self.braking.sample(front, free_m if rule is None else torch.minimum(free_m, rule.free_m))
+        stops = self.braking.sample(at_stops, free_m if rule is None else torch.minimum(free_m, rule.free_m))
         stop_cost = self._stop_cost(stops, paths, desired_speed)
         strict, loose = (self._is_free(stops.travelled, paths, each, route) for each in blocked)
         if self.config.braking.standing_m is not None:
@@ -228,6 +228,12 @@ class FrenetPlanner:
         stopping = (stops.travelled[:, 0], stops.speed[:, 0], stops.accel)
         both = tuple(torch.cat(pair) for pair in zip(first_step, stopping, strict=True))
         return torch.cat([cost, stop_cost], dim=1), both
+
+    def _as_ego(self, now: Situation) -> RouteState:
+        """The route state of a vehicle as long as the ego with the same front: of such are the places of stops."""
+        if self.sizes.is_one:
+            return now.route
+        return now.route._replace(s=now.route.s + self.sizes.longer_m(now.size.length))
 
     def _is_free(self, travelled: Tensor, paths: Paths, blocked: Blocked, route: RouteState) -> Tensor:
         """[L, C, N] bool: candidates [C, T, N] (m) end where the path is drivable, and meet no predicted vehicle.

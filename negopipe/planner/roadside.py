@@ -52,6 +52,7 @@ class Roadside:
     def __init__(self, road: Road, sizes: Sizes, clearance_m: Tensor) -> None:
         self.road = road
         self.clearance_m = clearance_m[:, None]  # [S, 1]
+        self._one = self._half(sizes.ego) if sizes.is_one else None  # stored once: the planner's innermost loop
         room_m = float(sizes.smallest.width) + 2 * float(clearance_m.min())
         rows = [_rows(cars, road.is_straight, room_m) for cars in road.parked_on_line]
         self.n_rows = max(map(len, rows))
@@ -64,11 +65,14 @@ class Roadside:
         s: [S, N] m; direction: [N]; d, d_prime: [L, S, N] m and 1, the offset and its derivative by s
         size: of the vehicles, [N] or floats
         """
-        half = Half(size.length / 2 + self.clearance_m, size.width / 2 + self.clearance_m)
+        half = self._half(size) if self._one is None else self._one
         excess = self._over_kerb(s, direction, d, d_prime, half)
         for row in self.rows(direction):
             excess = torch.maximum(excess, self._into_row(row, s, direction, d, d_prime, half))
         return excess
+
+    def _half(self, size: Size) -> Half:
+        return Half(size.length / 2 + self.clearance_m, size.width / 2 + self.clearance_m)
 
     def rows(self, direction: Tensor) -> list[ParkedRow]:
         """The rows of the street of each vehicle; direction: [N]."""

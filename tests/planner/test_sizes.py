@@ -120,7 +120,7 @@ def test_stops_before_the_mouth_are_places_of_the_front(game: Game) -> None:
     x = draw_situations(planner.road, 2, 0)  # type: ignore[arg-type]
     route = x.route._replace(s=torch.tensor([-20.0, -20.0 - 1.45]), s_dot=torch.full((2,), 4.0))
     length = torch.tensor([4.5, 7.4])
-    front = route._replace(s=route.s + planner.sizes.longer_m(length))
+    front = planner._as_ego(x._replace(route=route, size=Size(length, 0 * length)))
     assert front.s.tolist() == pytest.approx([-20.0, -20.0])
 
 
