@@ -94,7 +94,7 @@ def nose_to_nose(met: Encounter) -> Hindrance:
 
 def on_route(simulator: Simulator, perception: Perception, met: Encounter) -> Hindrance:
     """The nearest oncoming vehicle that stands on the own route now, or is nose to nose in the corridor."""
-    sizes, shape = simulator.scenario.sizes, met.apart_m.shape
+    sizes, shape = simulator.sizes, met.apart_m.shape
     others = map_tensors(lambda field: field.flatten(0, 1), perception.other)
     direction = perception.direction.flatten()[:, None]
     size = sizes.of(perception.other_length.flatten(0, 1), perception.other_width.flatten(0, 1))
@@ -117,7 +117,7 @@ class StopLines:
     def __init__(self, simulator: Simulator, stop_s_m: float, gap_m: float) -> None:
         self._road, self._gap_m = simulator.road, gap_m
         self._ends = simulator.road.narrow_places[..., 1]
-        self._sizes = simulator.scenario.sizes
+        self._sizes = simulator.sizes
         self._wanted, self._latest = (
             waiting_places(simulator.collisions, self._sizes, latest_m) for latest_m in (stop_s_m, 0.0)
         )

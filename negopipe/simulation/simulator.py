@@ -54,7 +54,7 @@ class Simulator:
     def __init__(
         self, scenario: ScenarioConfig, sensor: Sensor, dynamics: Dynamics, device: torch.device | str = "cpu"
     ) -> None:
-        self.scenario = scenario
+        self.scenario, self.sizes = scenario, scenario.sizes
         self.sensor = sensor
         self.dynamics = dynamics
         self.road = build_road(scenario, device)
@@ -130,7 +130,7 @@ class Simulator:
 
     def size(self, task: Task) -> Size:
         """Of the vehicles, [E, V], or floats where all are alike."""
-        return self.scenario.sizes.of(task.length, task.width)
+        return self.sizes.of(task.length, task.width)
 
     def touches(self, world: World) -> Tensor:
         """[E, V] bool: the footprint touches another vehicle, a parked car or a kerb."""
@@ -167,9 +167,9 @@ class Simulator:
         wrecks = map_tensors(lambda field: field[:, EGO + 1 :], world.vehicles)
         direction = world.task.direction[:, EGO : EGO + 1]
         is_ahead = self.road.progress(wrecks.position, direction) > s[:, None]
-        sizes, task = self.scenario.sizes, world.task
-        size = sizes.of(task.length[:, EGO + 1 :], task.width[:, EGO + 1 :])
-        is_on_route = self.collisions.stands_on_route(wrecks, size, direction, sizes.ego)
+        task = world.task
+        size = self.sizes.of(task.length[:, EGO + 1 :], task.width[:, EGO + 1 :])
+        is_on_route = self.collisions.stands_on_route(wrecks, size, direction, self.sizes.ego)
         return (world.has_collided[:, EGO + 1 :] & is_ahead & is_on_route).any(-1)
 
 
