@@ -88,11 +88,13 @@ if TYPE_CHECKING:
     RealRange: TypeAlias = float | tuple[float, float]
     FractionRange: TypeAlias = float | tuple[float, float]
     SizeRange: TypeAlias = float | tuple[float, float]
+    SpeedRange: TypeAlias = float | tuple[float, float]
     DistanceRange: TypeAlias = float | tuple[float, float]
     CountRange: TypeAlias = int | tuple[int, int]
 else:
     RealRange, FractionRange = _or_interval(Real), _or_interval(Fraction)
     SizeRange, DistanceRange = _or_interval(PositiveMetres), _or_interval(NonNegativeMetres)
+    SpeedRange = _or_interval(PositiveFloat)
     CountRange = _or_interval(PositiveInt)
 """A number, or the interval [low, high] that it is drawn from."""
 NonNegativeInt = Annotated[int, Field(ge=0)]

@@ -40,8 +40,8 @@ class RouteFollowingConfig(MotionRule):
         hindered = self.hindrance(simulator)
 
         def drive(perception: Perception) -> Motion:
-            met = encounter(simulator.road, simulator.scenario.vehicle.length_m, perception)
-            hindrance = nearest(hindered(perception, met), vehicle_ahead(met, simulator.scenario.vehicle.length_m))
+            met = encounter(simulator.road, perception)
+            hindrance = nearest(hindered(perception, met), vehicle_ahead(met))
             return follow_route(simulator, self, perception, met.own, hindrance)
 
         return drive
@@ -80,31 +80,35 @@ def idm(config: RouteFollowingConfig, speed: Tensor, desired_speed: Tensor, hind
     return accel.clamp(min=-config.braking_max_mps2)
 
 
-def vehicle_ahead(met: Encounter, length_m: float) -> Hindrance:
+def vehicle_ahead(met: Encounter) -> Hindrance:
     """The nearest vehicle that drives ahead in the same direction."""
-    return _nearest_of(met, met.is_ahead, met.other_s - met.own_s[..., None] - length_m, -met.other_speed)
+    return _nearest_of(met, met.is_ahead, met.other_s - met.own_s[..., None] - met.touch_m, -met.other_speed)
 
 
-def nose_to_nose(met: Encounter, length_m: float) -> Hindrance:
+def nose_to_nose(met: Encounter) -> Hindrance:
     """The nearest oncoming vehicle, where both have their fronts in the corridor."""
-    is_inside = (met.own_s[..., None] > -length_m / 2) & (met.other_s > -length_m / 2)
+    is_inside = (met.own_s[..., None] > -met.own_m / 2) & (met.other_s > -met.other_m / 2)
     in_the_way = met.is_oncoming & is_inside & (met.apart_m > 0)
-    return _nearest_of(met, in_the_way, met.apart_m - length_m, met.other_speed)
+    return _nearest_of(met, in_the_way, met.apart_m - met.touch_m, met.other_speed)
 
 
 def on_route(simulator: Simulator, perception: Perception, met: Encounter) -> Hindrance:
     """The nearest oncoming vehicle that stands on the own route now, or is nose to nose in the corridor."""
-    length_m, shape = simulator.scenario.vehicle.length_m, met.apart_m.shape
+    sizes, shape = simulator.sizes, met.apart_m.shape
     others = map_tensors(lambda field: field.flatten(0, 1), perception.other)
     direction = perception.direction.flatten()[:, None]
-    stands_on_route = simulator.collisions.stands_on_route(others, direction).reshape(shape)
+    size = sizes.of(perception.other_length.flatten(0, 1), perception.other_width.flatten(0, 1))
+    own = sizes.of(perception.length.flatten()[:, None], perception.width.flatten()[:, None])
+    stands_on_route = simulator.collisions.stands_on_route(others, size, direction, own).reshape(shape)
     in_the_way = met.is_oncoming & stands_on_route & (met.apart_m > 0)
-    on_it = _nearest_of(met, in_the_way, met.apart_m - length_m, met.other_speed)
-    return nearest(on_it, nose_to_nose(met, length_m))
+    on_it = _nearest_of(met, in_the_way, met.apart_m - met.touch_m, met.other_speed)
+    return nearest(on_it, nose_to_nose(met))
 
 
 class StopLines:
     """Lines before the narrow places of a road at which vehicles come to rest that let the others through.
+
+    A vehicle that is longer than the ego has its front where that of the ego would be.
 
     stop_s_m: place of a line behind the mouth; where the other cannot pass there, the next place before it is taken
     gap_m: gap that the driver keeps
@@ -113,11 +117,14 @@ class StopLines:
     def __init__(self, simulator: Simulator, stop_s_m: float, gap_m: float) -> None:
         self._road, self._gap_m = simulator.road, gap_m
         self._ends = simulator.road.narrow_places[..., 1]
-        self._wanted, self._latest = (waiting_places(simulator.collisions, latest_m) for latest_m in (stop_s_m, 0.0))
+        self._sizes = simulator.sizes
+        self._wanted, self._latest = (
+            waiting_places(simulator.collisions, self._sizes, latest_m) for latest_m in (stop_s_m, 0.0)
+        )
 
     def hindrance(self, met: Encounter, must_wait: Tensor, direction: Tensor) -> Hindrance:
         """The line of agents that `must_wait` [E, S]; it counts also past it, as long as the other can still pass."""
-        s = met.own.s
+        s = met.own.s + self._sizes.longer_m(met.own_m[..., 0])
         latest, wanted = (self._road.of_place(each, self._ends, s, direction) for each in (self._latest, self._wanted))
         can_wait, left = s < latest + LEAST_GAP_M, wanted - s
         return Hindrance(torch.where(must_wait & can_wait, left + self._gap_m, FREE_M), met.own.s_dot)

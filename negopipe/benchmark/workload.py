@@ -64,8 +64,8 @@ def decision_workload(game: Game, scenario: ScenarioConfig, observation: AnyObse
               + V (O + P) overlap + (F V + P + B) H (crossing + words * word) + F H W cell
         bytes = 2 V (state + J pose + flags) + V task + 3 counters + observation
     """
-    n_vehicles = 1 + scenario.n_social
-    n_others, n_parked = scenario.n_social, game.simulator.road.parked_boxes().x.shape[-1]
+    n_vehicles = scenario.n_vehicles
+    n_others, n_parked = scenario.n_others, game.simulator.road.parked_boxes().x.shape[-1]
     flops = n_vehicles * (_plan(game, n_others) + (n_others + n_parked) * OVERLAP)
     if isinstance(observation, OccupancyGridConfig):
         flops += _grids(game, observation, n_vehicles)

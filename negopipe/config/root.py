@@ -181,7 +181,7 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
 def _memory(config: RunConfig) -> Iterator[Memory]:
     """Memory estimates of the components."""
     scenario, observation, stages = config.scenario, config.observation, set(config.stages)
-    dt_s, n_vehicles, n_actions = scenario.dt_s, 1 + scenario.n_social, len(config.policy.horizons_s)
+    dt_s, n_vehicles, n_actions = scenario.dt_s, scenario.n_vehicles, len(config.policy.horizons_s)
     n_chunk, n_steps, observed = CHUNKS["cpu"], scenario.episode_steps, observation.observed
     yield config.planner.memory(scenario, n_chunk)
     yield observation.memory(scenario.most_parked + n_vehicles, n_chunk)

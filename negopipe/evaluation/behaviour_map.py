@@ -67,8 +67,9 @@ class BehaviourMapConfig:
 
     def memory(self, scenario: ScenarioConfig) -> Memory:
         """Memory of the trace of one pair of horizons."""
-        n_bytes = trace_bytes(self.n_episodes, scenario.episode_steps, 1 + scenario.n_social)
-        return Memory("the map", n_bytes, ("behaviour_map.n_episodes", "scenario.episode_steps", "scenario.n_social"))
+        n_bytes = trace_bytes(self.n_episodes, scenario.episode_steps, scenario.n_vehicles)
+        keys = "behaviour_map.n_episodes scenario.episode_steps scenario.n_social scenario.n_followers"
+        return Memory("the map", n_bytes, tuple(keys.split()))
 
 
 def cell(drives: Drives, ego_horizon_s: float, social_style_s: float) -> dict[str, Any]:

@@ -55,7 +55,8 @@ class EvaluationConfig:
         """Memory of the traces of all planners in all settings."""
         n_driven = self.n_episodes * len(self.settings) * (1 + len(self.baselines))
         keys = "evaluation.n_episodes evaluation.settings evaluation.baselines scenario.episode_steps scenario.n_social"
-        n_bytes = trace_bytes(n_driven, scenario.episode_steps, 1 + scenario.n_social)
+        keys += " scenario.n_followers"
+        n_bytes = trace_bytes(n_driven, scenario.episode_steps, scenario.n_vehicles)
         return Memory("the evaluation", n_bytes, tuple(keys.split()))
 
     @property
@@ -137,6 +138,7 @@ def _record(
     way = tasks.direction[:, EGO]
     rows |= {"street": way.abs().long(), "corridor_m": torch.ones_like(way) * game.simulator.road.corridor_m(way)}
     rows |= {"start_distance_m": tasks.start_distance, "style_horizon_s": tasks.style_horizon}
+    rows |= {"length_m": tasks.length, "width_m": tasks.width}
     driver = game.cast.named(tasks.casting.driver)
     return {name: value.cpu().numpy() for name, value in rows.items()} | {"driver": driver}
 

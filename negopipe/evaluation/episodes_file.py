@@ -16,7 +16,6 @@ from negopipe.evaluation.metrics import mean_over, passes_first, running, suspen
 from negopipe.evaluation.safety import avoidable_by, footprints, largest_decel_and_jerk, smallest_gap, smallest_ttc
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.simulation.geometry import Boxes
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import EGO, NEAREST
 from negopipe.tracking.csv_file import CsvKind
 
@@ -29,13 +28,11 @@ class Drives:
     """Evaluated episodes and the constants that their columns are computed with.
 
     trace: E episodes of one planner in one setting
-    vehicle: footprint of every vehicle
     braking_mps2: full braking, m/s2
     plan_s: length of a plan, s
     """
 
     trace: Trace
-    vehicle: VehicleConfig
     braking_mps2: float
     plan_s: float
 
@@ -43,7 +40,7 @@ class Drives:
     def of(config: "RunConfig", trace: Trace) -> "Drives":
         """The constants of a run's config."""
         planner = config.planner
-        return Drives(trace, config.scenario.vehicle, planner.limits.full_braking_mps2, planner.horizon_s)
+        return Drives(trace, planner.limits.full_braking_mps2, planner.horizon_s)
 
     @cached_property
     def is_running(self) -> np.ndarray:
@@ -63,7 +60,7 @@ class Drives:
     @cached_property
     def boxes(self) -> Boxes:
         """Footprints, fields [T+1, E, V]."""
-        return footprints(self.trace, self.vehicle)
+        return footprints(self.trace)
 
     @cached_property
     def largest(self) -> tuple[np.ndarray, np.ndarray]:
@@ -172,7 +169,7 @@ COLUMNS = (
     EpisodeColumn(
         "avoidable_by",
         str,
-        lambda d: avoidable_by(d.trace, d.vehicle, d.braking_mps2),
+        lambda d: avoidable_by(d.trace, d.braking_mps2),
         "vehicle that full braking would have kept out of the collision: ego, social, both, nobody; alone: the ego "
         "touched no vehicle; none: no collision",
     ),

@@ -3,6 +3,8 @@
 Axes as in `Trace`: T decisions, E episodes, V vehicles (column 0 is the ego).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -10,17 +12,32 @@ from torch import Tensor
 from negopipe.evaluation.metrics import running
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, time_to_collision
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import AT_REST_MPS, EGO
 
 AVOIDING_S = 2.0
 """Time before a collision at which braking to avoid it begins."""
 
+SIZE_DIGITS = 6
+"""Decimals of a size in metres, fewer than float32 has."""
 
-def footprints(trace: Trace, vehicle: VehicleConfig) -> Boxes:
+
+class _Driven(NamedTuple):
+    """Poses [T, 3] and speeds [T] of a vehicle, one step apart, and its length and width."""
+
+    pose: np.ndarray
+    speed: np.ndarray
+    size: tuple[float, float]
+
+    @property
+    def last(self) -> "_Driven":
+        """The vehicle at its last pose."""
+        return self._replace(pose=self.pose[-1:])
+
+
+def footprints(trace: Trace) -> Boxes:
     """Footprints of all vehicles at all times, fields [T+1, E, V] float64, world frame."""
     pose = np.concatenate([trace.position_m, trace.yaw_rad[..., None]], -1)
-    return _footprints(torch.from_numpy(pose).double(), vehicle)
+    return _footprints(torch.from_numpy(pose).double(), *(torch.from_numpy(size).double() for size in _sizes(trace)))
 
 
 def smallest_gap(boxes: Boxes) -> np.ndarray:
@@ -52,7 +69,7 @@ def largest_decel_and_jerk(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     return decel.clip(min=0), np.where(is_running[1:], jerk, 0.0).max(0, initial=0.0)
 
 
-def avoidable_by(trace: Trace, vehicle: VehicleConfig, braking_mps2: float) -> np.ndarray:
+def avoidable_by(trace: Trace, braking_mps2: float) -> np.ndarray:
     """[E] str: the vehicle that could have avoided a collision of the ego, ego | social | both | nobody.
 
     A vehicle could have avoided it if it was moving and would have come to rest without touching the other by braking
@@ -61,41 +78,38 @@ def avoidable_by(trace: Trace, vehicle: VehicleConfig, braking_mps2: float) -> n
     """
     who = np.full(len(trace.n_steps), "none", dtype=object)
     for episode in np.flatnonzero(trace.outcome == OUTCOMES.index("collision")):
-        who[episode] = _avoidable_by(trace, int(episode), vehicle, braking_mps2)
+        who[episode] = _avoidable_by(trace, int(episode), braking_mps2)
     return who.astype(str)
 
 
-def _avoidable_by(trace: Trace, episode: int, vehicle: VehicleConfig, braking_mps2: float) -> str:
+def _avoidable_by(trace: Trace, episode: int, braking_mps2: float) -> str:
     end = int(trace.n_steps[episode])
     window = slice(max(0, end - round(AVOIDING_S / trace.dt_s)), end + 1)
     pose = np.concatenate([trace.position_m, trace.yaw_rad[..., None]], -1)[window, episode].astype(np.float64)
     speed = trace.speed_mps[window, episode].astype(np.float64)
-    is_hit = [_touches(pose[-1:, EGO], pose[-1:, other], vehicle) for other in range(1, pose.shape[1])]
+    sizes = list(zip(*(size[episode].tolist() for size in _sizes(trace)), strict=True))
+    driven = [_Driven(pose[:, agent], speed[:, agent], sizes[agent]) for agent in range(len(sizes))]
+    is_hit = [_touches(driven[EGO].last, other.last) for other in driven[1:]]
     if not any(is_hit):
         return "alone"
-    other = 1 + is_hit.index(True)
-    own, its = ((pose[:, agent], speed[:, agent]) for agent in (EGO, other))
+    own, its = driven[EGO], driven[1 + is_hit.index(True)]
     by_ego, by_social = (
-        abs(driven[0][1][0]) > AT_REST_MPS and not _hits_braking(*driven, trace.dt_s, braking_mps2, vehicle)
-        for driven in ((own, its), (its, own))
+        abs(brakes.speed[0]) > AT_REST_MPS and not _hits_braking(brakes, other, trace.dt_s, braking_mps2)
+        for brakes, other in ((own, its), (its, own))
     )
     return {(True, True): "both", (True, False): "ego", (False, True): "social"}.get((by_ego, by_social), "nobody")
 
 
-_Driven = tuple[np.ndarray, np.ndarray]
-"""Poses [T, 3] and speeds [T] of a vehicle, one step apart."""
-
-
-def _hits_braking(brakes: _Driven, other: _Driven, dt_s: float, braking_mps2: float, vehicle: VehicleConfig) -> bool:
+def _hits_braking(brakes: _Driven, other: _Driven, dt_s: float, braking_mps2: float) -> bool:
     """A braking vehicle touches the other before it has come to rest."""
-    start_mps = abs(brakes[1][0])
+    start_mps = abs(brakes.speed[0])
     times = np.arange(0.0, start_mps / braking_mps2, dt_s)
-    path, its = (_straight_on(*driven, dt_s, len(times)) for driven in (brakes, other))
+    path, its = (_straight_on(each.pose, each.speed, dt_s, len(times)) for each in (brakes, other))
     driven = np.concatenate([[0.0], np.hypot(*np.diff(path[:, :2], axis=0).T).cumsum()])
     distance = np.minimum(start_mps * times - braking_mps2 * times**2 / 2, driven[: len(times)])
     columns = (path[:, 0], path[:, 1], np.unwrap(path[:, 2]))
     braked = np.stack([np.interp(distance, driven, column) for column in columns], -1)
-    return _touches(braked, its[: len(times)], vehicle)
+    return _touches(brakes._replace(pose=braked), other._replace(pose=its[: len(times)]))
 
 
 def _straight_on(pose: np.ndarray, speed: np.ndarray, dt_s: float, n: int) -> np.ndarray:
@@ -106,21 +120,26 @@ def _straight_on(pose: np.ndarray, speed: np.ndarray, dt_s: float, n: int) -> np
     return np.concatenate([pose, beyond])
 
 
-def _touches(a: np.ndarray, b: np.ndarray, vehicle: VehicleConfig) -> bool:
-    """Two vehicles with poses [T, 3] overlap at some time."""
-    first, second = (_footprints(torch.from_numpy(pose), vehicle) for pose in (a, b))
+def _touches(a: _Driven, b: _Driven) -> bool:
+    """Two vehicles overlap at some time."""
+    first, second = (_footprints(torch.from_numpy(each.pose), *each.size) for each in (a, b))
     return bool((overlap_depth(first, second) > 0).any())
 
 
-def _footprints(pose: Tensor, vehicle: VehicleConfig) -> Boxes:
+def _footprints(pose: Tensor, length: Tensor | float, width: Tensor | float) -> Boxes:
     """Footprints of vehicles at poses [..., 3], m, m, rad."""
     x, y, yaw = pose.unbind(-1)
-    return boxes_from_pose(x, y, yaw, vehicle.length_m, vehicle.width_m)
+    return boxes_from_pose(x, y, yaw, length, width)
+
+
+def _sizes(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths and widths [E, V]; shortest decimals, so that 1.8 m is 1.8 m in float64, too."""
+    return tuple(np.round(size.astype(np.float64), SIZE_DIGITS) for size in (trace.length_m, trace.width_m))  # type: ignore[return-value]
 
 
 def agents(boxes: Boxes, first: int, end: int | None) -> Boxes:
     """Boxes of the vehicles `first` to `end`, [..., V]."""
-    return boxes._replace(**{name: getattr(boxes, name)[..., first:end] for name in ("x", "y", "cos", "sin")})
+    return Boxes(*(field[..., first:end] if isinstance(field, Tensor) else field for field in boxes))  # type: ignore[arg-type]
 
 
 def box_distance(a: Boxes, b: Boxes) -> Tensor:

@@ -38,6 +38,7 @@ class Trace:
     corridor_m: [E] float32, m, length of its corridor
     start_distance_m: [E, V] float32, m, to the mouth that the vehicle meets first
     style_horizon_s: [E, V] float32, s, style at the start; NaN where a driver chooses its horizons
+    length_m, width_m: [E, V] float32, m, of the footprint
     driver: [E, V] str, name of the vehicle's driver in the population; empty for the ego
     position_m: [T+1, E, V, 2] float32, world frame
     yaw_rad: [T+1, E, V] float32, world frame
@@ -58,6 +59,8 @@ class Trace:
     corridor_m: np.ndarray
     start_distance_m: np.ndarray
     style_horizon_s: np.ndarray
+    length_m: np.ndarray
+    width_m: np.ndarray
     driver: np.ndarray
     position_m: np.ndarray
     yaw_rad: np.ndarray
@@ -80,7 +83,7 @@ class Trace:
 
 
 EPISODE_AXIS = {
-    "street": 0, "corridor_m": 0, "start_distance_m": 0, "style_horizon_s": 0, "driver": 0,
+    "street": 0, "corridor_m": 0, "start_distance_m": 0, "style_horizon_s": 0, "length_m": 0, "width_m": 0, "driver": 0,
     "n_steps": 0, "reached_step": 0, "outcome": 0,
     "position_m": 1, "yaw_rad": 1, "speed_mps": 1, "progress_m": 1,
     "horizon_s": 1, "is_full_braking": 1, "reward": 1,
@@ -97,7 +100,7 @@ def trace_bytes(n_episodes: int, episode_steps: int, n_vehicles: int) -> int:
     return n_episodes * episode_steps * n_vehicles * STEP_BYTES * N_COPIES
 
 
-_FORMAT = "negopipe traces 3"
+_FORMAT = "negopipe traces 4"
 """Written into every file; the number changes when a field of `Trace` changes."""
 
 

@@ -13,6 +13,7 @@ from negopipe.agents.population import Cast, PopulationConfig
 from negopipe.observation.kinds import AnyObservationConfig, build_observation
 from negopipe.planner.config import PlannerConfig
 from negopipe.planner.frenet import FrenetPlanner
+from negopipe.simulation.build_road import build_road
 from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
 from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
 from negopipe.simulation.scenario import ScenarioConfig
@@ -82,9 +83,9 @@ class Game:
 
 def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compiled: bool = False) -> Game:
     """The game of a configuration; nothing in it depends on a task."""
-    scenario, sensor = config.scenario, _sensor(config)
+    scenario, sensor = config.scenario, _sensor(config, device)
     simulator = Simulator(scenario, sensor, build_dynamics(config.dynamics, scenario.dt_s), device)
-    frenet = FrenetPlanner(config.planner, simulator.road, scenario.vehicle, scenario.dt_s, device)
+    frenet = FrenetPlanner(config.planner, simulator.road, scenario.sizes, scenario.dt_s, device)
     cast = Cast(config.population, simulator)
     observation = build_observation(config.observation, simulator)
     size = CHUNKS[torch.device(device).type]
@@ -129,11 +130,12 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     )
 
 
-def _sensor(config: GameConfig) -> Sensor:
+def _sensor(config: GameConfig, device: torch.device | str) -> Sensor:
     """The sensor of every vehicle, which remembers as much as the observation shows."""
     dt_s = config.scenario.dt_s
     return Sensor(
         config.perception,
+        build_road(config.scenario, device),
         dt_s,
         config.observation.history_steps(dt_s),
         config.population.is_attentive,

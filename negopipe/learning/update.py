@@ -83,7 +83,7 @@ class UpdateConfig:
         """
         n_bytes = 2 * self.n_worlds * n_agents * self.n_steps * observed.n_bytes  # as collected, and as learnt from
         keys = ("algorithm.n_worlds", "algorithm.n_steps")
-        sides = ("scenario.n_social",) if n_agents > 1 else ()
+        sides = ("scenario.n_social", "scenario.n_followers") if n_agents > 1 else ()
         yield Memory("a rollout", n_bytes, (*keys, *sides, *observed.keys))
         n_bytes = self.n_samples * (observed.n_numbers + layers.n_outputs) * FLOAT_BYTES * N_COPIES
         seen = dict.fromkeys((*observed.keys, *layers.position_keys))

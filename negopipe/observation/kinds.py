@@ -31,6 +31,6 @@ def build_observation(config: AnyObservationConfig, simulator: Simulator) -> Obs
     scenario = simulator.scenario
     match config:
         case OccupancyGridConfig():
-            return OccupancyGrid(config, simulator.road, scenario.vehicle, scenario.dt_s, simulator.road.device)
+            return OccupancyGrid(config, simulator.road, scenario.sizes, scenario.dt_s, simulator.road.device)
         case ObjectsConfig():
-            return Objects(config, Passage.of(simulator.collisions), scenario.vehicle, scenario.dt_s)
+            return Objects(config, Passage.of(simulator.collisions, scenario.sizes), scenario.dt_s)

@@ -18,7 +18,6 @@ from negopipe.observation.street_ahead import N_FEATURES, StreetAhead
 from negopipe.schema import NonNegativeMetres, PositiveFloat, PositiveInt, PositiveMetres, schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road, RouteState
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import VehicleState
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.materialize import materialize
@@ -110,8 +109,8 @@ class Objects:
     passage: stretches of the road in which vehicles cannot pass each other
     """
 
-    def __init__(self, config: ObjectsConfig, passage: Passage, vehicle: VehicleConfig, dt_s: float) -> None:
-        self.config, self.passage, self.vehicle, self._dt_s = config, passage, vehicle, dt_s
+    def __init__(self, config: ObjectsConfig, passage: Passage, dt_s: float) -> None:
+        self.config, self.passage, self._dt_s = config, passage, dt_s
         self.road: Road = passage.road
         self.shape = config.shape
         self._stride = config.frame_stride(dt_s)
@@ -137,11 +136,14 @@ class Objects:
         s, direction = place.route.s, place.direction
         offset, slope, _ = road.route_offset(s, direction)
         rest_s = perception.rest_steps[:, 0] * self._dt_s
-        length, width = self._size(s)
+        length, width = perception.length[:, 0], perception.width[:, 0]
         to_places = (
-            place.first, place.last, passage.waiting_s(s, direction), passage.leaving_s(s, direction),
+            place.first,
+            place.last,
+            passage.waiting_s(s, direction, length),
+            passage.leaving_s(s, direction, length),
             s.new_zeros(()) + road.target_s(direction),
-        )  # fmt: skip
+        )
         features = [
             own.speed / by.speed_mps,
             own.accel / by.accel_mps2,
@@ -195,19 +197,19 @@ class Objects:
     def _now(self, perception: Perception, place: _Place, pose: Tensor, s: Tensor, is_oncoming: Tensor) -> list[Tensor]:
         """[E, O] each: the others now, at poses [E, O, 3] and places s [E, O] (m) along the agent's route."""
         by, own_s, way = self.config.scales, place.route.s[:, None], place.direction[:, None]
-        corridor, at = self.road.corridor_m(way), self.passage.at
+        corridor, passage = self.road.corridor_m(way), self.passage
+        length, width = perception.other_length[:, 0], perception.other_width[:, 0]
         ends = [
-            torch.where(is_oncoming, their - corridor + s, own - s)
+            torch.where(is_oncoming, their(own_s, way, length) - corridor + s, own(own_s, way, length) - s)
             for own, their in (
-                (at(self.passage.waiting, own_s, way), at(self.passage.their_waiting, own_s, way)),
-                (at(self.passage.leaving, own_s, way), at(self.passage.their_leaving, own_s, way)),
+                (passage.waiting_s, passage.their_waiting_s),
+                (passage.leaving_s, passage.their_leaving_s),
             )
         ]
         to_end = torch.where(is_oncoming, s - place.first[:, None], place.last[:, None] - s)
         dx, dy = pose[..., 0] - place.pose[:, :1], pose[..., 1] - place.pose[:, 1:2]
         cos, sin = torch.cos(place.pose[:, 2:]), torch.sin(place.pose[:, 2:])
         turned = pose[..., 2] - place.pose[:, 2:]
-        length, width = self._size(s)
         other = map_tensors(lambda field: field[:, 0], perception.other)
         return [
             *((each / by.distance_m) for each in (*ends, to_end, s - own_s, dx * cos + dy * sin)),
@@ -246,7 +248,3 @@ class Objects:
     def _n_past(self) -> int:
         """Steps of the past up to the oldest frame, with now."""
         return 1 + self.config.history_steps(self._dt_s)
-
-    def _size(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Length and width of vehicles (m), each in the shape of `like`: those of the scenario for all."""
-        return torch.full_like(like, self.vehicle.length_m), torch.full_like(like, self.vehicle.width_m)

@@ -16,10 +16,10 @@ from torch import Tensor
 from negopipe.checks import FLOAT_BYTES, N_TEMPORARIES, Memory, Observed
 from negopipe.observation.frames import FramesConfig
 from negopipe.schema import NonNegativeMetres, PositiveInt, PositiveMetres, schema
-from negopipe.simulation.geometry import Boxes
+from negopipe.simulation.geometry import Boxes, Size, boxes_from_pose
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road
-from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.sizes import Sizes
 from negopipe.tensors.materialize import materialize
 
 OUT_OF_SIGHT_M = 1000.0
@@ -57,8 +57,9 @@ class OccupancyGridConfig(FramesConfig):
     def memory(self, n_boxes: int, n_worlds: int) -> Memory:
         """Memory of drawing `n_boxes` rectangles in `n_worlds` worlds."""
         n_numbers = n_worlds * self.n_frames * self.n_cells * (self.n_words + 1) * n_boxes
-        keys = ("observation.n_cells", "observation.n_frames", "scenario.n_social", "scenario.road.n_parked_per_side")
-        return Memory("drawing the grids", n_numbers * FLOAT_BYTES * N_TEMPORARIES, keys)
+        keys = "observation.n_cells observation.n_frames scenario.n_social scenario.n_followers"
+        keys += " scenario.road.n_parked_per_side"
+        return Memory("drawing the grids", n_numbers * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -82,11 +83,11 @@ class OccupancyGrid:
         self,
         config: OccupancyGridConfig,
         road: Road,
-        vehicle: VehicleConfig,
+        sizes: Sizes,
         dt_s: float,
         device: torch.device | str = "cpu",
     ) -> None:
-        self.config, self.vehicle, self.road = config, vehicle, road
+        self.config, self.sizes, self.road = config, sizes, road
         n = config.n_cells
         self.shape = config.shape
         self._stride = config.frame_stride(dt_s)
@@ -109,11 +110,21 @@ class OccupancyGrid:
         x, y, yaw = moving.unbind(-1)
         is_seen = perception.is_seen_history[:, :: self._stride, 0]
         x = torch.where(torch.cat([torch.ones_like(is_seen[..., :1]), is_seen], dim=-1), x, OUT_OF_SIGHT_M)
-        half_length, half_width = self.vehicle.length_m / 2, self.vehicle.width_m / 2
-        vehicles = Boxes(x, y, torch.cos(yaw), torch.sin(yaw), half_length, half_width)
+        vehicles = boxes_from_pose(x, y, yaw, *self._size(perception))
         standing = Boxes(*self.road.pick(self._static, perception.direction[:, 0]).unbind(-1))
         static = self._rows(_in_body_frame(standing, pose[:, None]))
         return self._cells(static[:, None] | self._rows(_in_body_frame(vehicles, pose[:, None, None])))
+
+    def _size(self, perception: Perception) -> Size:
+        """Of the agent and of the others, [E, 1, 1 + O], or floats."""
+        length, width = (
+            torch.cat([own, others[:, 0]], dim=1)[:, None]
+            for own, others in (
+                (perception.length, perception.other_length),
+                (perception.width, perception.other_width),
+            )
+        )
+        return self.sizes.of(length, width)
 
     def _rows(self, boxes: Boxes) -> Tensor:
         """Union of the rectangles with fields [..., R] (body frame): [..., K, H] int32, a bit per cell."""

@@ -56,7 +56,8 @@ def _features(road: Road, passage: Passage, s: Tensor, way: Tensor) -> Tensor:
     offset = road.route_offset(s, way)[0]
     first, last = road.narrow_place(s, way)
     is_narrow = (s >= first) & (s <= last)
-    is_closed = (s > passage.waiting_s(s, way)) & (s < passage.leaving_s(s, way))
+    length = passage.sizes.ego.length
+    is_closed = (s > passage.waiting_s(s, way, length)) & (s < passage.leaving_s(s, way, length))
     curvature = road.curvature(s, way)[0]
     return torch.stack([left - offset, right + offset, curvature, is_narrow.float(), is_closed.float()], dim=-1)
 

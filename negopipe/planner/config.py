@@ -13,7 +13,8 @@ from negopipe.planner.longitudinal import LongitudinalConfig
 from negopipe.planner.prediction import PredictionConfig
 from negopipe.planner.reversing import ReversingConfig
 from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
-from negopipe.simulation.scenario import ScenarioConfig, VehicleConfig
+from negopipe.simulation.geometry import Size
+from negopipe.simulation.scenario import ScenarioConfig
 
 
 @schema
@@ -104,25 +105,27 @@ class PlannerConfig:
         """S, points along a path at which it is checked against kerbs and parked cars."""
         return int(self.limits.speed_max_mps * self.horizon_s / self.clearance.station_m) + 1
 
-    def touching_m(self, vehicle: VehicleConfig) -> float:
+    def touching_m(self, largest: Size) -> float:
         """Distance at which two footprints with their clearances can touch at all."""
-        clearance, half_length, half_width = self.clearance, vehicle.length_m / 2, vehicle.width_m / 2
+        clearance, half_length, half_width = self.clearance, largest.length / 2, largest.width / 2
         beside = clearance.beside_m + clearance.beside_s * self.limits.speed_max_mps
         return math.hypot(half_length, half_width) + math.hypot(half_length + clearance.ahead_m, half_width + beside)
 
-    def n_around(self, vehicle: VehicleConfig) -> int:
+    def n_around(self, largest: Size) -> int:
         """K, points around a predicted vehicle at which a path is checked against it."""
-        return math.ceil(2 * self.touching_m(vehicle) / self.clearance.conflict_station_m) + 1
+        return math.ceil(2 * self.touching_m(largest) / self.clearance.conflict_station_m) + 1
 
     def check(self, dt_s: float) -> Iterator[Problem]:
         yield from check_times({"planner.horizon_s": (self.horizon_s,)}, dt_s)
 
     def memory(self, scenario: ScenarioConfig, n_worlds: int) -> Memory:
         """Memory of one plan of every vehicle in `n_worlds` worlds."""
-        n_paths = n_worlds * (1 + scenario.n_social) * self.lateral.n_candidates
-        n_met = scenario.n_social * self.n_times(scenario.dt_s)
+        n_paths = n_worlds * scenario.n_vehicles * self.lateral.n_candidates
+        n_met = scenario.n_others * self.n_times(scenario.dt_s)
         n_candidates = self.longitudinal.n_candidates + self.braking.n_candidates
-        n_checks = n_met * (n_candidates + self.n_around(scenario.vehicle)) + self.n_stations
-        keys = "scenario.n_social planner.horizon_s scenario.dt_s planner.longitudinal.keep_fractions"
+        n_checks = n_met * (n_candidates + self.n_around(scenario.sizes.largest)) + self.n_stations
+        keys = (
+            "scenario.n_social scenario.n_followers planner.horizon_s scenario.dt_s planner.longitudinal.keep_fractions"
+        )
         keys += " planner.lateral.offsets_m planner.clearance.station_m planner.clearance.conflict_station_m"
         return Memory("a plan", n_paths * n_checks * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))

@@ -15,7 +15,7 @@ from negopipe.planner.prediction import PredictedPath
 from negopipe.planner.situation import Situation
 from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.simulation.road import Road
-from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.sizes import Sizes
 
 
 class Blocked(NamedTuple):
@@ -47,13 +47,13 @@ class ConflictCheck:
         self,
         config: PlannerConfig,
         road: Road,
-        vehicle: VehicleConfig,
+        sizes: Sizes,
         lateral: LateralCandidates,
         device: torch.device | str,
     ) -> None:
-        self.clearance, self.road, self.vehicle, self.lateral = config.clearance, road, vehicle, lateral
-        reach = config.touching_m(vehicle)
-        self.around = torch.linspace(-reach, reach, config.n_around(vehicle)).to(device)
+        self.clearance, self.road, self.lateral = config.clearance, road, lateral
+        reach = config.touching_m(sizes.largest)
+        self.around = torch.linspace(-reach, reach, config.n_around(sizes.largest)).to(device)
 
     def depth(
         self, now: Situation, coefficients: tuple[Tensor, ...], predicted: PredictedPath
@@ -61,21 +61,21 @@ class ConflictCheck:
         """Depth of overlap [L, K, O, T, N] (m) at the places around predicted vehicles, and the distances travelled
         [K, O, T, N] (m) to the places.
         """
-        size, clearance = self.vehicle, self.clearance
+        size, other_size, clearance = now.size, now.others.size_at_times, self.clearance
         around = self.around[:, None, None, None]  # [K, O, T, N]
         at = predicted.s - now.route.s + around
         d, d_prime, _ = self.lateral.follow(coefficients, now.route.s, now.direction, at)
         frame = (predicted.s, now.direction, around)
         u, v, tan_heading = self.road.in_tangent_frame(*frame, d, d_prime)  # [L, K, O, T, N]
         cos, other_cos = torch.rsqrt(1 + tan_heading**2), torch.rsqrt(1 + predicted.tan_heading**2)
-        own = Boxes(u, v, cos, tan_heading * cos, size.length_m / 2, size.width_m / 2)
+        own = Boxes(u, v, cos, tan_heading * cos, size.length / 2, size.width / 2)
         other = Boxes(
             torch.zeros_like(predicted.d),
             predicted.d,
             other_cos,
             predicted.tan_heading * other_cos,
-            size.length_m / 2 + clearance.ahead_m,
-            size.width_m / 2 + clearance.beside_m + clearance.beside_s * now.others.speed.abs()[:, None],
+            other_size.length / 2 + clearance.ahead_m,
+            other_size.width / 2 + clearance.beside_m + clearance.beside_s * now.others.speed.abs()[:, None],
         )
         return overlap_depth(own, other), at
 

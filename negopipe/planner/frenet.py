@@ -26,7 +26,7 @@ from negopipe.planner.situation import Others, Situation
 from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.road import Road, RouteState
-from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import AT_REST_MPS, Motion
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.materialize import materialize
@@ -56,34 +56,34 @@ class Paths(NamedTuple):
 
 
 class FrenetPlanner:
-    """Planner of any number of vehicles in one call; they differ in state and prediction horizon only."""
+    """Planner of any number of vehicles in one call; they differ in state, size and prediction horizon only."""
 
     def __init__(
         self,
         config: PlannerConfig,
         road: Road,
-        vehicle: VehicleConfig,
+        sizes: Sizes,
         dt_s: float,
         device: torch.device | str = "cpu",
     ) -> None:
-        self.config, self.road, self.vehicle, self.dt_s = config, road, vehicle, dt_s
+        self.config, self.road, self.sizes, self.dt_s = config, road, sizes, dt_s
         self.times = torch.arange(1, config.n_times(dt_s) + 1, device=device) * dt_s
         self.longitudinal = LongitudinalCandidates(config.longitudinal, self.times)
         self.braking = BrakingCandidates(config.braking, self.times)
         self.lateral = LateralCandidates(config.lateral, road, device)
         self.stations = torch.arange(1, config.n_stations + 1, device=device) * config.clearance.station_m
-        self.roadside = Roadside(road, vehicle, _parked_clearance(config.clearance, self.stations))
+        self.roadside = Roadside(road, sizes, _parked_clearance(config.clearance, self.stations))
         self.give_way, self.reversing, self.lingering = self._rules(device)
         self._slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
-        self.conflicts = ConflictCheck(config, road, vehicle, self.lateral, device)
+        self.conflicts = ConflictCheck(config, road, sizes, self.lateral, device)
 
     def _rules(self, device: torch.device | str) -> tuple[GiveWay | None, Reversing | None, Lingering | None]:
         """The rules at a passage; None where the planner has none."""
         config = self.config
         if config.give_way is None and config.reversing is None and not config.cost.lingering:
             return None, None, None
-        collisions = CollisionCheck(self.road, self.vehicle, self.dt_s, other_columns(2, device))
-        passage = Passage.of(collisions)
+        collisions = CollisionCheck(self.road, self.dt_s, other_columns(2, device))
+        passage = Passage.of(collisions, self.sizes)
         limits = (config.clearance.parked_near_m, config.limits.curvature_max_1pm, config.clearance.station_m)
         return (
             GiveWay(config.give_way, passage, self.times) if config.give_way else None,
@@ -118,8 +118,13 @@ class FrenetPlanner:
         other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
         direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
         *fields, direction, desired_speed = materialize(*self.road.to_route(own, direction), direction, desired_speed)
-        others = Others.of(self.road, other, direction, _flatten(perception.is_seen).transpose(0, 1))
-        return Situation(RouteState(*fields), direction, desired_speed, horizon.flatten(), others)
+        is_seen, *other_size = (
+            _flatten(field).transpose(0, 1)
+            for field in (perception.is_seen, perception.other_length, perception.other_width)
+        )
+        others = Others.of(self.road, other, direction, is_seen, self.sizes.of(*other_size))
+        size = self.sizes.of(perception.length.flatten(), perception.width.flatten())
+        return Situation(RouteState(*fields), direction, desired_speed, horizon.flatten(), size, others)
 
     def _ahead(self, now: Situation) -> tuple[RouteState, Tensor]:
         """State one step forwards along the best trajectory, and whether it is full braking; fields [N]."""
@@ -175,7 +180,7 @@ class FrenetPlanner:
         curvature, path_per_road, path_per_road_prime = path_shape(self.road, s, direction, d, d_prime, d_pprime)
         limits = self.config.limits
         allowed = (limits.lateral_accel_max_mps2 / now.desired_speed**2).clamp(max=limits.curvature_max_1pm)
-        excess = torch.maximum(curvature.abs() - allowed, self.roadside.excess(s, direction, d, d_prime))
+        excess = torch.maximum(curvature.abs() - allowed, self.roadside.excess(s, direction, d, d_prime, now.size))
         first = torch.where(excess > 0, at, torch.inf).amin(1)
         weights = self.config.cost
         cost = weights.bend * torch.stack(coefficients[2:]).square().sum(0) + weights.offset * self.lateral.offset**2
@@ -195,7 +200,8 @@ class FrenetPlanner:
         Returns with them what the longitudinal candidates are after one step: travelled, speed, accel, each [C, N].
         """
         route, desired_speed = now.route, now.desired_speed
-        samples = self.longitudinal.sample(route, desired_speed)
+        at_stops = self._as_ego(now)
+        samples = self.longitudinal.sample(at_stops, desired_speed)
         is_feasible = self._is_drivable(samples, paths) & self._is_free(samples.travelled, paths, blocked[0], route)
         cost = paths.cost[:, None] + self._longitudinal_cost(samples, desired_speed)
         if rule is not None:
@@ -207,7 +213,7 @@ class FrenetPlanner:
         if self.braking.n_candidates == 0:
             return cost, first_step
         free_m = blocked[0].free_m
-        stops = self.braking.sample(route, free_m if rule is None else torch.minimum(free_m, rule.free_m))
+        stops = self.braking.sample(at_stops, free_m if rule is None else torch.minimum(free_m, rule.free_m))
         stop_cost = self._stop_cost(stops, paths, desired_speed)
         strict, loose = (self._is_free(stops.travelled, paths, each, route) for each in blocked)
         if self.config.braking.standing_m is not None:
@@ -222,6 +228,12 @@ class FrenetPlanner:
         stopping = (stops.travelled[:, 0], stops.speed[:, 0], stops.accel)
         both = tuple(torch.cat(pair) for pair in zip(first_step, stopping, strict=True))
         return torch.cat([cost, stop_cost], dim=1), both
+
+    def _as_ego(self, now: Situation) -> RouteState:
+        """The route state of a vehicle as long as the ego with the same front: of such are the places of stops."""
+        if self.sizes.is_one:
+            return now.route
+        return now.route._replace(s=now.route.s + self.sizes.longer_m(now.size.length))
 
     def _is_free(self, travelled: Tensor, paths: Paths, blocked: Blocked, route: RouteState) -> Tensor:
         """[L, C, N] bool: candidates [C, T, N] (m) end where the path is drivable, and meet no predicted vehicle.

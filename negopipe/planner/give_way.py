@@ -42,17 +42,17 @@ class GiveWay:
 
     def to_passage(self, now: Situation) -> Tensor:
         """[N] m: distance to the passage, negative behind its beginning."""
-        return self.passage.waiting_s(now.route.s, now.direction) - now.route.s
+        return self.passage.waiting_s(now.route.s, now.direction, now.size.length) - now.route.s
 
     def times_of_others(self, now: Situation) -> tuple[Tensor, Tensor]:
         """[O, N] s: earliest time at which an oncoming vehicle enters the passage, latest at which it has left it.
 
         A vehicle that does not come along never enters, and has left.
         """
-        passage, its = self.passage, now.others.route
-        leaves_after = passage.at(passage.their_leaving, now.route.s, now.direction) - its.s
+        passage, its, length = self.passage, now.others.route, now.others.size.length
+        leaves_after = passage.their_leaving_s(now.route.s, now.direction, length) - its.s
         comes = now.others.is_oncoming & (leaves_after > 0)
-        enters_after = (passage.at(passage.their_waiting, now.route.s, now.direction) - its.s).clamp(min=0)
+        enters_after = (passage.their_waiting_s(now.route.s, now.direction, length) - its.s).clamp(min=0)
         latest = torch.where(its.s_dot > SLOWEST_MPS, leaves_after / its.s_dot.clamp(min=SLOWEST_MPS), NEVER_S)
         earliest = self._soonest(enters_after, its.s_dot)
         return torch.where(comes, earliest, NEVER_S), torch.where(comes, latest, -NEVER_S)
@@ -73,7 +73,7 @@ class GiveWay:
         others: of `times_of_others`
         """
         to_passage, earliest, latest = self.to_passage(now), *others
-        through = self.passage.leaving_s(now.route.s, now.direction) - now.route.s
+        through = self.passage.leaving_s(now.route.s, now.direction, now.size.length) - now.route.s
         end, end_speed = travelled[:, -1], speed[:, -1].clamp(min=SLOWEST_MPS)
         enters_s = (travelled <= to_passage + ROUNDING_M).sum(1) * self._dt_s
         within_s = ((travelled < through).sum(1) + 1) * self._dt_s

@@ -23,7 +23,7 @@ class Lingering:
         """[N] bool: at its present speed an oncoming vehicle ahead is in the passage within the prediction horizon."""
         passage, others = self.passage, now.others
         comes = others.is_oncoming & (others.s > now.route.s) & (now.horizon > 0)
-        to_passage = passage.at(passage.their_waiting, now.route.s, now.direction) - others.route.s
+        to_passage = passage.their_waiting_s(now.route.s, now.direction, others.size.length) - others.route.s
         seconds = now.horizon.clamp(max=self._plan_s)  # nothing is predicted beyond the plan
         return (comes & (to_passage <= others.route.s_dot * seconds)).any(0)
 
@@ -34,7 +34,7 @@ class Lingering:
 
         is_met: of `is_met`
         """
-        s, end, end_speed = now.route.s, travelled[:, -1], speed[:, -1].clamp(min=0)
-        is_in = end > self.passage.waiting_s(s, now.direction) - s + ROUNDING_M
-        stays = end + end_speed * self._plan_s < self.passage.leaving_s(s, now.direction) - s
+        s, length, end, end_speed = now.route.s, now.size.length, travelled[:, -1], speed[:, -1].clamp(min=0)
+        is_in = end > self.passage.waiting_s(s, now.direction, length) - s + ROUNDING_M
+        stays = end + end_speed * self._plan_s < self.passage.leaving_s(s, now.direction, length) - s
         return is_met & is_in & stays

@@ -12,9 +12,10 @@ from torch import Tensor
 from negopipe.planner.lateral import path_shape
 from negopipe.planner.polynomial import evaluate, quintic
 from negopipe.planner.roadside import Roadside
-from negopipe.planner.situation import Situation
+from negopipe.planner.situation import Others, Situation
 from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.collisions import CollisionCheck
+from negopipe.simulation.geometry import Size
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.tree import map_tensors
@@ -60,7 +61,7 @@ class Reversing:
         clearance_m, self._curvature_max, step_m = limits
         device = collisions.road.device
         self._behind = torch.arange(0.0, config.length_m + step_m, step_m, device=device)[:, None]  # [S, 1] m
-        self._roadside = Roadside(self.road, collisions.vehicle, torch.full_like(self._behind[:, 0], clearance_m))
+        self._roadside = Roadside(self.road, passage.sizes, torch.full_like(self._behind[:, 0], clearance_m))
         self._from_state = quintic(config.return_m)[:, :3].to(device, torch.float32)
 
     def plan(self, now: Situation, ahead: RouteState) -> tuple[Tensor, RouteState]:
@@ -69,23 +70,26 @@ class Reversing:
         ahead: state one step along the plan forwards
         """
         route, direction, horizon = now.route, now.direction, now.horizon
-        way = route.s - self.passage.waiting_s(route.s, direction) + self.config.beyond_m
+        way = route.s - self.passage.waiting_s(route.s, direction, now.size.length) + self.config.beyond_m
         path = self._path(route, direction)
         stays = (route.s_dot.abs() <= STILL_MPS) & (ahead.s_dot.abs() <= STILL_MPS)
         is_asked = (horizon >= self.config.least_horizon_s) & self._is_in_the_way(now, way)
-        is_free = self._is_drivable(route, direction, way, path) & self._is_clear(now, way)
+        is_free = self._is_drivable(now, way, path) & self._is_clear(now, way)
         goes = is_asked & is_free & (stays | (route.s_dot < 0)) & (way > ROUNDING_M) & (way <= self.config.length_m)
         return goes | (route.s_dot < 0), self._step(route, direction, torch.where(goes, way, 0.0), path)
 
     def _is_in_the_way(self, now: Situation, way: Tensor) -> Tensor:
         """[N] bool: an oncoming vehicle that has not passed cannot do so, and does not make way itself."""
         route, direction, others = now.route, now.direction, now.others
-        their_place = self.passage.at(self.passage.their_waiting, route.s, direction)
+        their_place = self.passage.their_waiting_s(route.s, direction, others.size.length)
         its_way = others.route.s - their_place + self.config.beyond_m
         makes_way = (others.route.s_dot < -CREEPING_MPS) & (its_way < way)
         comes = others.is_oncoming & (others.s > route.s) & ~makes_way
         standing = map_tensors(lambda field: field[:, None], self.road.to_world(route, direction))
-        return comes.any(0) & self._collisions.stands_on_route(standing, -direction[:, None])[:, 0]
+        stands = self._collisions.stands_on_route(
+            standing, _column(now.size), -direction[:, None], _largest(others, comes)
+        )
+        return comes.any(0) & stands[:, 0]
 
     def _path(self, route: RouteState, direction: Tensor) -> tuple[Tensor, ...]:
         """Coefficients c_0 .. c_5 [N] of the offset from the route over the distance driven backwards."""
@@ -102,11 +106,12 @@ class Reversing:
         d, d_prime, d_pprime = self.road.route_offset(s, direction)
         return s, d + offset, d_prime - offset_prime, d_pprime + offset_pprime
 
-    def _is_drivable(self, route: RouteState, direction: Tensor, way: Tensor, path: tuple[Tensor, ...]) -> Tensor:
+    def _is_drivable(self, now: Situation, way: Tensor, path: tuple[Tensor, ...]) -> Tensor:
         """[N] bool: the whole way is clear of kerbs and parked cars, and no bend is too sharp."""
+        route, direction = now.route, now.direction
         s, d, d_prime, d_pprime = self._at(route, direction, path, self._behind.expand(-1, len(way)))
         curvature, _, _ = path_shape(self.road, s, direction, d, d_prime, d_pprime)
-        excess = self._roadside.excess(s, direction, d[None], d_prime[None])[0]
+        excess = self._roadside.excess(s, direction, d[None], d_prime[None], now.size)[0]
         excess = torch.maximum(excess, curvature.abs() - self._curvature_max)
         is_on_way = (self._behind > 0) & (self._behind < way + self._behind[1])
         return torch.where(is_on_way, excess, -1.0).amax(0) <= 0
@@ -114,12 +119,12 @@ class Reversing:
     def _is_clear(self, now: Situation, way: Tensor) -> Tensor:
         """[N] bool: nobody behind is met, nor comes so near meanwhile."""
         route, direction, others = now.route, now.direction, now.others
-        config, size = self.config, self._collisions.vehicle
+        config, size, other = self.config, now.size, others.size
         duration_s = way.clamp(min=0) / config.speed_mps + config.speed_mps / config.accel_mps2
         speed = torch.where(others.is_same, others.route.s_dot, -others.route.s_dot)
-        gap = route.s - others.s - size.length_m - speed.clamp(min=0) * duration_s
+        gap = route.s - others.s - (size.length + other.length) / 2 - speed.clamp(min=0) * duration_s
         offset = others.d - self.road.route_offset(others.s, direction)[0]
-        is_behind = others.is_seen & (others.s < route.s) & (offset.abs() < 1.5 * size.width_m)
+        is_behind = others.is_seen & (others.s < route.s) & (offset.abs() < 0.75 * (size.width + other.width))
         return ~(is_behind & (gap < way + config.behind_m)).any(0)
 
     def _step(self, route: RouteState, direction: Tensor, way: Tensor, path: tuple[Tensor, ...]) -> RouteState:
@@ -135,3 +140,13 @@ class Reversing:
         back = torch.where((after == 0) & (speed < change), halting, (speed + after) / 2 * dt)
         s, d, d_prime, d_pprime = self._at(route, direction, path, back)
         return RouteState(s, -after, torch.where(after > 0, (speed - after) / dt, 0.0), d, d_prime, d_pprime)
+
+
+def _column(size: Size) -> Size:
+    """Sizes [N, 1] of vehicles [N]."""
+    return Size(*(field[:, None] if isinstance(field, Tensor) else field for field in size))
+
+
+def _largest(others: Others, comes: Tensor) -> Size:
+    """Sizes [N, 1] that bound those of the others that come [O, N]."""
+    return Size(*(torch.where(comes, f, 0.0).amax(0)[:, None] if isinstance(f, Tensor) else f for f in others.size))

@@ -5,8 +5,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from negopipe.simulation.geometry import Size
 from negopipe.simulation.road import Road
-from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.sizes import Sizes
 
 Row = tuple[float, float, float, float]
 """Fields of a `ParkedRow`."""
@@ -28,6 +29,13 @@ class ParkedRow(NamedTuple):
     inner: Tensor
 
 
+class Half(NamedTuple):
+    """Half lengths and half widths of footprints with their clearance, [S, N] or, of one size, [S, 1]; m."""
+
+    length: Tensor
+    width: Tensor
+
+
 NO_ROW = (0.0, 0.0, 1.0, 1e3)
 """A row out of reach, for streets with fewer rows than others."""
 
@@ -41,43 +49,48 @@ class Roadside:
     clearance_m: [S] m, one for every station at which a path is checked
     """
 
-    def __init__(self, road: Road, vehicle: VehicleConfig, clearance_m: Tensor) -> None:
+    def __init__(self, road: Road, sizes: Sizes, clearance_m: Tensor) -> None:
         self.road = road
-        self.half_length = vehicle.length_m / 2 + clearance_m[:, None]  # [S, 1]
-        self.half_width = vehicle.width_m / 2 + clearance_m[:, None]
-        room_m = vehicle.width_m + 2 * float(clearance_m.min())
+        self.clearance_m = clearance_m[:, None]  # [S, 1]
+        self._one = self._half(sizes.ego) if sizes.is_one else None  # stored once: the planner's innermost loop
+        room_m = float(sizes.smallest.width) + 2 * float(clearance_m.min())
         rows = [_rows(cars, road.is_straight, room_m) for cars in road.parked_on_line]
         self.n_rows = max(map(len, rows))
         self._rows = torch.tensor([[*each, *[NO_ROW] * (self.n_rows - len(each))] for each in rows])
         self._rows = self._rows.to(road.device)  # [B, P, 4]
 
-    def excess(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor) -> Tensor:
+    def excess(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, size: Size) -> Tensor:
         """[L, S, N] m: depth by which a footprint reaches over a kerb or into a parked car, negative where it is clear.
 
         s: [S, N] m; direction: [N]; d, d_prime: [L, S, N] m and 1, the offset and its derivative by s
+        size: of the vehicles, [N] or floats
         """
-        excess = self._over_kerb(s, direction, d, d_prime)
+        half = self._half(size) if self._one is None else self._one
+        excess = self._over_kerb(s, direction, d, d_prime, half)
         for row in self.rows(direction):
-            excess = torch.maximum(excess, self._into_row(row, s, direction, d, d_prime))
+            excess = torch.maximum(excess, self._into_row(row, s, direction, d, d_prime, half))
         return excess
+
+    def _half(self, size: Size) -> Half:
+        return Half(size.length / 2 + self.clearance_m, size.width / 2 + self.clearance_m)
 
     def rows(self, direction: Tensor) -> list[ParkedRow]:
         """The rows of the street of each vehicle; direction: [N]."""
         rows = self.road.pick(self._rows, direction)  # [N, P, 4]
         return [ParkedRow(*row.unbind(-1)) for row in rows.unbind(-2)]
 
-    def _over_kerb(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor) -> Tensor:
+    def _over_kerb(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, half: Half) -> Tensor:
         sagitta: Tensor | float = 0.0  # how far a curved kerb reaches towards the middle of a straight side
         tan_heading = d_prime
         if not self.road.is_straight:
             kappa, _ = self.road.curvature(s, direction)
-            sagitta = kappa.abs() * self.half_length**2 / 2
+            sagitta = kappa.abs() * half.length**2 / 2
             tan_heading = d_prime / (1 - kappa * d)
         cos = torch.rsqrt(1 + tan_heading**2)
-        reach = self.half_length * tan_heading.abs() * cos + self.half_width * cos
+        reach = half.length * tan_heading.abs() * cos + half.width * cos
         return self.road.kerb_excess(s, direction, d, reach, sagitta)
 
-    def _into_row(self, row: ParkedRow, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor) -> Tensor:
+    def _into_row(self, row: ParkedRow, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, half: Half) -> Tensor:
         """[L, S, N] m: depth by which a footprint reaches into a row.
 
         The row is taken to be on the left and the nose to be turned left; other cases are mirrored across or along.
@@ -93,10 +106,10 @@ class Roadside:
         cos = torch.rsqrt(1 + steep**2)
         sin = steep * cos
         ahead = torch.where(turned < 0, u, -u)  # of the row's middle, from the footprint's
-        corner = self.half_length * cos - self.half_width * sin
+        corner = half.length * cos - half.width * sin
         nearest = (corner - ahead).clamp(-row.half_length, row.half_length) + ahead - corner
-        height = self.half_length * sin + self.half_width * cos - torch.maximum(-steep * nearest, nearest / steep)
-        alongside = row.half_length + self.half_length * cos + self.half_width * sin - ahead.abs()
+        height = half.length * sin + half.width * cos - torch.maximum(-steep * nearest, nearest / steep)
+        alongside = row.half_length + half.length * cos + half.width * sin - ahead.abs()
         return torch.minimum(v * side + height - row.inner, alongside)
 
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from negopipe.simulation.geometry import Size
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.state import VehicleState
 from negopipe.tensors.materialize import materialize
@@ -19,6 +20,7 @@ class Others(NamedTuple):
     s, d: m, place in the route frame of the vehicle that plans
     speed: m/s
     is_seen: bool
+    size: Size, of the footprints, or floats where all are alike
     """
 
     route: RouteState
@@ -28,15 +30,21 @@ class Others(NamedTuple):
     d: Tensor
     speed: Tensor
     is_seen: Tensor
+    size: Size
 
     @staticmethod
-    def of(road: Road, vehicles: VehicleState, viewer_direction: Tensor, is_seen: Tensor) -> "Others":
+    def of(road: Road, vehicles: VehicleState, viewer_direction: Tensor, is_seen: Tensor, size: Size) -> "Others":
         """Others from their states [O, N]; viewer_direction: [N], of the vehicles that plan."""
         direction, route = road.to_own_route(vehicles, viewer_direction)
         *state, direction, speed = materialize(*route, direction, vehicles.speed)
         route, is_same = RouteState(*state), direction == viewer_direction
         s = torch.where(is_same, route.s, road.corridor_m(viewer_direction) - route.s)
-        return Others(route, direction, is_same, s, torch.where(is_same, route.d, -route.d), speed, is_seen)
+        return Others(route, direction, is_same, s, torch.where(is_same, route.d, -route.d), speed, is_seen, size)
+
+    @property
+    def size_at_times(self) -> Size:
+        """Sizes with an axis for times, [O, 1, N]."""
+        return Size(*(field[:, None] if isinstance(field, Tensor) else field for field in self.size))
 
     @property
     def is_oncoming(self) -> Tensor:
@@ -50,6 +58,7 @@ class Situation(NamedTuple):
     route: RouteState, motion along the route
     direction: +n or -n
     desired_speed: m/s; horizon: s, prediction horizon
+    size: Size, of the footprint, or floats where all are alike
     others: Others [O, N]
     """
 
@@ -57,4 +66,5 @@ class Situation(NamedTuple):
     direction: Tensor
     desired_speed: Tensor
     horizon: Tensor
+    size: Size
     others: Others

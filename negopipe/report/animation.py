@@ -185,6 +185,7 @@ class _Panel:
 
     def __init__(self, axis: Axes, trace: Trace, episode: int, scene: Scene, fixed_s: FixedHorizons) -> None:
         self.axis, self.trace, self.episode, self.scene = axis, trace, episode, scene
+        self.size_m = np.stack([trace.length_m[episode], trace.width_m[episode]], -1)
         self.yaw_rad = np.unwrap(trace.yaw_rad[:, episode], axis=0)
         n_vehicles = self.yaw_rad.shape[1]
         colors = [*planner_colors([trace.planner], fixed_s).values(), *[SOCIAL] * (n_vehicles - 1)]
@@ -211,7 +212,7 @@ class _Panel:
         position, yaw, speed = self._motion(step)
         horizon_s = self.trace.horizon_s[min(int(step), end - 1), self.episode, EGO]
         for vehicle, (body, windscreen) in enumerate(zip(self.bodies, self.windscreens, strict=True)):
-            length, width = self.scene.vehicle_length_m, self.scene.vehicle_width_m
+            length, width = self.size_m[vehicle]
             body.set_xy(box_corners(position[vehicle], yaw[vehicle], (-length / 2, length / 2), width))
             glass = (0.14 * length, 0.3 * length)
             windscreen.set_xy(box_corners(position[vehicle], yaw[vehicle], glass, 0.8 * width))
@@ -233,7 +234,7 @@ class _Panel:
         self.horizon.set_text(f"horizon {horizon_label(horizon_s)}" if has_horizon else "")
         for ribbon, vehicle in zip(self.ribbons, range(1, len(yaw)), strict=True):
             way_m = speed[vehicle] * min(horizon_s, self.scene.plan_s) if has_horizon else 0.0
-            ribbon.set_xy(ribbon_corners(self.scene, position[vehicle], yaw[vehicle], way_m))
+            ribbon.set_xy(ribbon_corners(self.scene, position[vehicle], yaw[vehicle], way_m, self.size_m[vehicle][1]))
             ribbon.set_facecolor(horizon_color(horizon_s) if has_horizon else QUIET)
 
     def _show_status(self, is_over: bool, position: np.ndarray, speed: np.ndarray) -> None:

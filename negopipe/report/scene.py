@@ -10,7 +10,6 @@ from matplotlib.patches import Polygon, Rectangle
 
 from negopipe.report.style import CORRIDOR, INK, QUIET
 from negopipe.simulation.road import Road
-from negopipe.simulation.scenario import VehicleConfig
 
 GROUND, ROAD, PARKED, SOCIAL = "#DDE3DC", "#F7F7F5", "#B9BDC2", "#4A4A4A"
 
@@ -24,7 +23,6 @@ class Scene:
     kerbs_m: [2, K, 2] x, y of the right and the left kerb at these sigma
     corridors_m: of each narrow place [2, M, 2], the same from mouth to mouth
     route_d_m: [2, K] offset to the line's left of the routes along the line and against it
-    vehicle_length_m, vehicle_width_m: footprint of every vehicle
     plan_s: length of a plan, s
     """
 
@@ -33,8 +31,6 @@ class Scene:
     kerbs_m: np.ndarray
     corridors_m: Sequence[np.ndarray]
     route_d_m: np.ndarray
-    vehicle_length_m: float
-    vehicle_width_m: float
     plan_s: float
 
 
@@ -46,7 +42,7 @@ SEEN_M = 60.0
 """Length of a drawn street on either side of its corridor, m."""
 
 
-def scene_of(vehicle: VehicleConfig, road: Road, street: int, plan_s: float) -> Scene:
+def scene_of(road: Road, street: int, plan_s: float) -> Scene:
     """A street as plain arrays for drawing; street: its number; plan_s: length of a plan, s."""
     along = torch.tensor(float(street), device=road.device)
     half_m = float(road.corridor_m(along)) / 2
@@ -62,8 +58,6 @@ def scene_of(vehicle: VehicleConfig, road: Road, street: int, plan_s: float) -> 
         kerbs_m=road.kerb_lines(sigma, along).cpu().numpy(),
         corridors_m=[road.kerb_lines(road.sampled(*place), along).cpu().numpy() for place in places.tolist()],
         route_d_m=(sign * road.route_offset(sign * sigma + half_m, direction)[0]).cpu().numpy(),
-        vehicle_length_m=vehicle.length_m,
-        vehicle_width_m=vehicle.width_m,
         plan_s=plan_s,
     )
 
@@ -109,8 +103,8 @@ def along_street(scene: Scene, position: np.ndarray) -> tuple[float, float]:
     return float(sigma + ahead), float(heading)
 
 
-def ribbon_corners(scene: Scene, position: np.ndarray, yaw_rad: float, way_m: float) -> np.ndarray:
-    """[2N, 2] outline of the next `way_m` metres along the road of the route of a vehicle at `position`."""
+def ribbon_corners(scene: Scene, position: np.ndarray, yaw_rad: float, way_m: float, width_m: float) -> np.ndarray:
+    """[2N, 2] outline of the next `way_m` metres of the route of a vehicle of `width_m` at `position`."""
     start, line_heading = along_street(scene, position)
     is_against = bool(np.cos(yaw_rad - line_heading) < 0)
     sigma = start + (-1 if is_against else 1) * np.linspace(0, way_m, 24)
@@ -118,6 +112,6 @@ def ribbon_corners(scene: Scene, position: np.ndarray, yaw_rad: float, way_m: fl
         np.interp(sigma, scene.line_m[:, 0], values)
         for values in (scene.route_d_m[int(is_against)], *scene.line_m[:, 1:].T)
     )
-    half = 0.8 * scene.vehicle_width_m / 2
+    half = 0.8 * width_m / 2
     right, left = (np.stack([x - e * np.sin(heading), y + e * np.cos(heading)], -1) for e in (d - half, d + half))
     return np.concatenate([right, left[::-1]])

@@ -38,11 +38,11 @@ class StreetMap:
 
 def street_maps(scenario: ScenarioConfig, road: Road, n: int) -> dict[str, Figure]:
     """Figures by name: the first `n` streets of the training and of those that are held out, or the only one."""
-    collisions = CollisionCheck(road, scenario.vehicle, scenario.dt_s, other_columns(2, road.device))
+    collisions = CollisionCheck(road, scenario.dt_s, other_columns(2, road.device))
     parts = {"streets_training": scenario.training_streets, "streets_held_out": scenario.held_out_streets}
     if scenario.training_streets == scenario.held_out_streets:
         parts = {"streets": scenario.held_out_streets}
-    waiting_s = waiting_places(collisions, 0.0).unflatten(0, (-1, 2)).cpu().numpy()
+    waiting_s = waiting_places(collisions, scenario.sizes, 0.0).unflatten(0, (-1, 2)).cpu().numpy()
     return {
         name: gallery([_street_map(scenario, road, street, waiting_s[street - 1]) for street in part[:n]])
         for name, part in parts.items()
@@ -76,13 +76,13 @@ def _draw(axis: Axes, street: StreetMap) -> None:
 
 def _street_map(scenario: ScenarioConfig, road: Road, street: int, waiting_s: np.ndarray) -> StreetMap:
     """street: its number; waiting_s: [2, M] m, of both ways, the last places at which the other can pass."""
-    scene = scene_of(scenario.vehicle, road, street, 0.0)
+    scene = scene_of(road, street, 0.0)
     half_m, points = float(road.corridor_m(road.ways[2 * street - 2])) / 2, []
     for s, d, sign in zip(waiting_s, scene.route_d_m, (1, -1), strict=True):
         sigma = sign * (np.unique(s[np.isfinite(s)]) - half_m)
         points.append(_beside(scene, sigma, np.interp(sigma, scene.line_m[:, 0], d)))
     starts_m = [family.start_distance_m[1] for family in scenario.families.values()]
-    shown_m = half_m + max(scenario.ego_start_distance_m[1], *starts_m) + AROUND_M
+    shown_m = half_m + max(scenario.ego_start_distance_m[1] + scenario.queue_m[0], *starts_m) + AROUND_M
     return StreetMap(f"street {street}: corridor {2 * half_m:.1f} m", scene, np.concatenate(points), shown_m)
 
 

@@ -18,6 +18,9 @@ from negopipe.tensors.seeding import generator
 N_DRAWN = 128
 """Streets that are drawn and checked together."""
 
+Footprints = tuple[VehicleConfig, ...]
+"""Of the vehicles that must be able to drive on a street."""
+
 LEAST_SHARE = 1 / 50
 """Share of the drawn streets that must be drivable."""
 
@@ -26,7 +29,7 @@ def build_road(scenario: ScenarioConfig, device: torch.device | str = "cpu") -> 
     """The streets of a scenario by their numbers, see `ScenarioConfig.held_out_streets`."""
     if scenario.map is not None:
         return build_map_road(scenario.map, map_rules(scenario), torch.device(device))
-    return _built(scenario.road, scenario.streets, scenario.vehicle, torch.device(device))
+    return _built(scenario.road, scenario.streets, _footprints(scenario), torch.device(device))
 
 
 def draw_streets(scenario: ScenarioConfig) -> tuple[StreetConfig, ...]:
@@ -34,26 +37,31 @@ def draw_streets(scenario: ScenarioConfig) -> tuple[StreetConfig, ...]:
 
     A map's street is none of them.
     """
-    return () if scenario.map is not None else _drawn(scenario.road, scenario.streets, scenario.vehicle)
+    return () if scenario.map is not None else _drawn(scenario.road, scenario.streets, _footprints(scenario))
+
+
+def _footprints(scenario: ScenarioConfig) -> Footprints:
+    """Of the ego and of the largest vehicle of every kind."""
+    return tuple(dict.fromkeys([scenario.vehicle, *scenario.largest_of_kinds.values()]))
 
 
 @lru_cache(maxsize=4)  # a config's check and its game need the same road
-def _built(road: RoadConfig, streets: StreetsConfig, vehicle: VehicleConfig, device: torch.device) -> Road:
-    configs = _drawn(road, streets, vehicle)
+def _built(road: RoadConfig, streets: StreetsConfig, footprints: Footprints, device: torch.device) -> Road:
+    configs = _drawn(road, streets, footprints)
     if len(configs) == 1 and configs[0].is_closed_form:
         return OneStreet(configs[0], device)
     return _by_table(configs, device)
 
 
 @lru_cache(maxsize=4)
-def _drawn(road: RoadConfig, streets: StreetsConfig, vehicle: VehicleConfig) -> tuple[StreetConfig, ...]:
+def _drawn(road: RoadConfig, streets: StreetsConfig, footprints: Footprints) -> tuple[StreetConfig, ...]:
     if not road.varies:
         return (road.street,)
     parts = ((streets.n_training, "training streets"), (streets.n_held_out, "held-out streets"))
     return tuple(
         street
         for n, name in parts
-        for street in _drivable_streets(road, streets, vehicle, n, generator(streets.seed, name))
+        for street in _drivable_streets(road, streets, footprints, n, generator(streets.seed, name))
     )
 
 
@@ -63,7 +71,7 @@ def _by_table(configs: tuple[StreetConfig, ...], device: torch.device | str) -> 
 
 
 def _drivable_streets(
-    road: RoadConfig, streets: StreetsConfig, vehicle: VehicleConfig, n: int, random: torch.Generator
+    road: RoadConfig, streets: StreetsConfig, footprints: Footprints, n: int, random: torch.Generator
 ) -> list[StreetConfig]:
     """`n` streets whose routes keep to the requirements of `streets`; UserError where too few do."""
     found: list[StreetConfig] = []
@@ -71,7 +79,9 @@ def _drivable_streets(
     while len(found) >= n_drawn * LEAST_SHARE:
         drawn = tuple(road.draw(N_DRAWN, random))
         n_drawn += len(drawn)
-        is_good = is_drivable(_by_table(drawn, "cpu"), vehicle, streets.clearance_m, streets.curvature_max_1pm)
+        table = _by_table(drawn, "cpu")
+        good = [is_drivable(table, size, streets.clearance_m, streets.curvature_max_1pm) for size in footprints]
+        is_good = torch.stack(good).all(0)
         found += [street for street, good in zip(drawn, is_good.tolist(), strict=True) if good]
         if len(found) >= n:
             return found[:n]

@@ -16,9 +16,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, time_to_collision, wrap_angle
+from negopipe.simulation.geometry import (
+    Boxes,
+    Size,
+    boxes_from_pose,
+    half_diagonal,
+    overlap_depth,
+    time_to_collision,
+    wrap_angle,
+)
 from negopipe.simulation.road import Road, RouteState
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import VehicleState
 from negopipe.tensors.materialize import materialize
 from negopipe.tensors.tree import tree_where
@@ -52,25 +59,26 @@ class CollisionCheck:
     """Checks the true oriented footprints of V vehicles against each other, parked cars and kerbs.
 
     others: [V, V - 1] int64, for each vehicle the columns of all others
+    size, in every method: of the vehicles, [E, V] or floats
     """
 
-    def __init__(self, road: Road, vehicle: VehicleConfig, dt_s: float, others: Tensor) -> None:
-        self.road, self.vehicle, self.dt_s = road, vehicle, dt_s
+    def __init__(self, road: Road, dt_s: float, others: Tensor) -> None:
+        self.road, self.dt_s = road, dt_s
         self._others = others
         self._n_pieces = math.ceil(dt_s / PIECE_S - 1e-9)
         self._share = torch.linspace(0, 1, self._n_pieces + 1, device=others.device)[:, None, None]
         n_kerb = math.ceil(dt_s / KERB_PIECE_S - 1e-9)
         self._kerb_share = torch.linspace(0, 1, n_kerb + 1, device=others.device)[1:-1, None, None]
-        self._along = vehicle.length_m * torch.tensor([-1.0, -0.5, 0.0, 0.5, 1.0], device=others.device)
-        self._radius_m = math.hypot(vehicle.length_m, vehicle.width_m) / 2
+        self._along = torch.tensor([-1.0, -0.5, 0.0, 0.5, 1.0], device=others.device)
 
-    def touches(self, vehicles: VehicleState, direction: Tensor) -> Tensor:
+    def touches(self, vehicles: VehicleState, direction: Tensor, size: Size) -> Tensor:
         """[E, V] bool: the footprint touches another vehicle, a parked car or a kerb; direction: [E, V]."""
         (poses,) = _worlds_last(vehicles)
-        is_off_road = self.road.is_off_road(self._boxes(poses.x, poses.y, poses.yaw), direction.T)
-        return (self._overlaps(poses, direction.T) | is_off_road).transpose(0, 1)
+        boxes = boxes_from_pose(poses.x, poses.y, poses.yaw, *_turned(size))
+        is_off_road = self.road.is_off_road(boxes, direction.T)
+        return (self._overlaps(boxes, direction.T) | is_off_road).transpose(0, 1)
 
-    def first_contact(self, before: VehicleState, after: VehicleState, direction: Tensor) -> Tensor:
+    def first_contact(self, before: VehicleState, after: VehicleState, direction: Tensor, size: Size) -> Tensor:
         """[E, V] float32: share of the control step from `before` to `after` at which a vehicle touches something.
 
         It is 1 for a vehicle in contact at the end of the step, whatever happened before, and inf without a contact.
@@ -78,12 +86,13 @@ class CollisionCheck:
         direction: [E, V]
         """
         start, end = _worlds_last(before, after)
-        way = direction.T
-        hit = self._hit(self._interpolate(start, end, self._share), way)
-        is_off_road = self._is_off_road(start, end, way)
+        way, size = direction.T, _turned(size)
+        hit = self._hit(self._interpolate(start, end, self._share), way, size)
+        is_off_road = self._is_off_road(start, end, way, size)
         left_road = torch.where(is_off_road[:-1], self._kerb_share, torch.inf)
         contact = torch.cat([left_road, hit[None]]).amin(0)
-        return torch.where(self._overlaps(end, way) | is_off_road[-1], 1.0, contact).transpose(0, 1)
+        boxes = boxes_from_pose(end.x, end.y, end.yaw, *size)
+        return torch.where(self._overlaps(boxes, way) | is_off_road[-1], 1.0, contact).transpose(0, 1)
 
     def moved_until(self, share: Tensor, before: VehicleState, after: VehicleState) -> VehicleState:
         """The state `after` [E, V]; where `share` [E, V] is below 1, the state at that share of the step instead."""
@@ -93,15 +102,21 @@ class CollisionCheck:
         stopped = replace(after, position=torch.stack([x, y], -1), yaw=wrap_angle(yaw), speed=speed)
         return tree_where(share < 1, stopped, after)
 
-    def stands_on_route(self, vehicles: VehicleState, direction: Tensor) -> Tensor:
-        """[E, S] bool: a vehicle that follows its route in `direction` [E, 1] cannot pass `vehicles` [E, S]."""
-        s = self.road.progress(vehicles.position, direction)[..., None] + self._along  # [E, S, K]
+    def stands_on_route(self, vehicles: VehicleState, size: Size, direction: Tensor, passing: Size) -> Tensor:
+        """[E, S] bool: a vehicle that follows its route in `direction` [E, 1] cannot pass `vehicles` [E, S].
+
+        size, passing: of the vehicles and of the one that passes, [E, S] or [E, 1], or floats
+        """
+        size, passing = _each(size), _each(passing)
+        along = (size.length + passing.length) / 2 * self._along  # of all places at which the two can touch
+        s = self.road.progress(vehicles.position, direction)[..., None] + along  # [E, S, K]
         direction = direction[..., None]
         zero = torch.zeros_like(s)
-        passing = self.road.to_world(RouteState(s, zero, zero, *self.road.route_offset(s, direction)), direction)
-        route = self._footprints(passing)
+        on_route = self.road.to_world(RouteState(s, zero, zero, *self.road.route_offset(s, direction)), direction)
+        route = boxes_from_pose(on_route.position[..., 0], on_route.position[..., 1], on_route.yaw, *passing)
         route = route._replace(half_width=route.half_width + PASSING_M)
-        standing = _fields(self._footprints(vehicles), lambda field: field[..., None])
+        x, y, yaw = (field[..., None] for field in (*vehicles.position.unbind(-1), vehicles.yaw))
+        standing = boxes_from_pose(x, y, yaw, *size)
         return (overlap_depth(route, standing) > 0).any(-1)
 
     def _interpolate(self, start: _Poses, end: _Poses, share: Tensor) -> _Poses:
@@ -121,19 +136,18 @@ class CollisionCheck:
             start.speed + t * (end.speed - start.speed),
         )
 
-    def _overlaps(self, poses: _Poses, direction: Tensor) -> Tensor:
-        """[V, E] bool: the footprint touches another vehicle or a parked car."""
-        boxes = self._boxes(poses.x, poses.y, poses.yaw)
+    def _overlaps(self, boxes: Boxes, direction: Tensor) -> Tensor:
+        """[V, E] bool: the footprint touches another vehicle or a parked car; boxes: fields [V, E]."""
         own = _fields(boxes, lambda field: field[:, None])  # [V, 1, E]
         others = _fields(boxes, lambda field: field[self._others])  # [V, O, E]
         with_others, with_parked = overlap_depth(own, others), overlap_depth(own, self._parked(direction))
         return torch.cat([with_others, with_parked], 1).amax(1) > 0
 
-    def _hit(self, poses: _Poses, direction: Tensor) -> Tensor:
+    def _hit(self, poses: _Poses, direction: Tensor, size: Size) -> Tensor:
         """[V, E] share of the step at which a vehicle hits another or a parked car; inf where it never does."""
         turn = poses.yaw.diff(dim=0)  # [N, V, E]
-        graze = GRAZE_M + self._radius_m * turn.abs() / 2
-        boxes = self._boxes(poses.x[:-1], poses.y[:-1], poses.yaw[:-1] + turn / 2)
+        graze = GRAZE_M + half_diagonal(size) * turn.abs() / 2
+        boxes = boxes_from_pose(poses.x[:-1], poses.y[:-1], poses.yaw[:-1] + turn / 2, *size)
         boxes = boxes._replace(half_length=boxes.half_length - graze, half_width=boxes.half_width - graze)
         step_x, step_y = poses.x.diff(dim=0), poses.y.diff(dim=0)
         own = _fields(boxes, lambda field: field[:, :, None])  # [N, V, 1, E]
@@ -145,22 +159,25 @@ class CollisionCheck:
         piece = torch.arange(self._n_pieces, device=within.device)[:, None, None]
         return torch.where(within < 1, (piece + within) / self._n_pieces, torch.inf).amin(0)
 
-    def _is_off_road(self, start: _Poses, end: _Poses, direction: Tensor) -> Tensor:
+    def _is_off_road(self, start: _Poses, end: _Poses, direction: Tensor, size: Size) -> Tensor:
         """[N, V, E] bool: the footprint reaches over a kerb at the ends of pieces, the last of which is the step's."""
         between = self._interpolate(start, end, self._kerb_share)
         x, y, yaw = (torch.cat([a, b[None]]) for a, b in zip(between[:3], end[:3], strict=True))
-        return self.road.is_off_road(self._boxes(x, y, yaw), direction)
+        return self.road.is_off_road(boxes_from_pose(x, y, yaw, *size), direction)
 
     def _parked(self, direction: Tensor) -> Boxes:
         """Parked cars, fields [P, E] or, of one street, [P, 1]; direction: [V, E]."""
         return _fields(self.road.parked_boxes(direction[0]), lambda field: torch.atleast_2d(field).T)
 
-    def _footprints(self, vehicles: VehicleState) -> Boxes:
-        x, y = vehicles.position.unbind(-1)
-        return self._boxes(x, y, vehicles.yaw)
 
-    def _boxes(self, x: Tensor, y: Tensor, yaw: Tensor) -> Boxes:
-        return boxes_from_pose(x, y, yaw, self.vehicle.length_m, self.vehicle.width_m)
+def _turned(size: Size) -> Size:
+    """Sizes [V, E] from those [E, V]."""
+    return Size(*(field.T if isinstance(field, Tensor) else field for field in size))
+
+
+def _each(size: Size) -> Size:
+    """Sizes with an axis for the places at which each vehicle is compared."""
+    return Size(*(field[..., None] if isinstance(field, Tensor) else field for field in size))
 
 
 def _worlds_last(*states: VehicleState) -> list[_Poses]:

@@ -7,6 +7,20 @@ import torch
 from torch import Tensor
 
 
+class Size(NamedTuple):
+    """Lengths and widths of footprints, [...] float32, m; a float is that of all."""
+
+    length: Tensor | float
+    width: Tensor | float
+
+
+def half_diagonal(size: Size) -> Tensor | float:
+    """Distance of the corners of footprints from their centres, [...] m."""
+    if isinstance(size.length, Tensor) and isinstance(size.width, Tensor):
+        return torch.hypot(size.length, size.width) / 2
+    return math.hypot(size.length, size.width) / 2
+
+
 class Boxes(NamedTuple):
     """Oriented rectangles; every field broadcasts against the others.
 
@@ -23,8 +37,8 @@ class Boxes(NamedTuple):
     half_width: Tensor | float
 
 
-def boxes_from_pose(x: Tensor, y: Tensor, yaw: Tensor, length: float, width: float) -> Boxes:
-    """Boxes of one size at poses [...] (m, m, rad)."""
+def boxes_from_pose(x: Tensor, y: Tensor, yaw: Tensor, length: Tensor | float, width: Tensor | float) -> Boxes:
+    """Boxes at poses [...] (m, m, rad), of sizes that broadcast with these."""
     return Boxes(x, y, torch.cos(yaw), torch.sin(yaw), length / 2, width / 2)
 
 

@@ -29,14 +29,14 @@ def map_rules(scenario: ScenarioConfig) -> MapRules:
             raise UserError(f"scenario.road.{name} must be a number where scenario.map is set, got {list(size)}")
     target_m = sizes["target_distance_m"]
     social_m = max(family.start_distance_m[1] for family in scenario.families.values())
-    social_m += (scenario.n_social - 1) * scenario.social_spacing_m
+    behind_ego_m, behind_social_m = scenario.queue_m
     return MapRules(
         vehicle=scenario.vehicle,
         swerve_m=sizes["swerve_length_m"],
         lane_m=sizes["lane_offset_m"],
         target_m=target_m,
-        before_m=max(scenario.ego_start_distance_m[1], target_m) + MARGIN_M,
-        behind_m=max(social_m, target_m) + MARGIN_M,
+        before_m=max(scenario.ego_start_distance_m[1] + behind_ego_m, target_m) + MARGIN_M,
+        behind_m=max(social_m + behind_social_m, target_m) + MARGIN_M,
         clearance_m=streets.clearance_m,
         curvature_max_1pm=streets.curvature_max_1pm,
     )

@@ -12,6 +12,8 @@ from torch import Tensor
 from negopipe.checks import Problem, check_times
 from negopipe.schema import Fraction, NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
 from negopipe.simulation.geometry import wrap_angle
+from negopipe.simulation.occlusion import Occlusion
+from negopipe.simulation.road import Road
 from negopipe.simulation.state import Sightings, Tracks, VehicleState, World
 from negopipe.simulation.tracker import Tracker, TrackerConfig
 from negopipe.tensors.stateless_rng import mix, normals, uniform
@@ -33,6 +35,7 @@ class PerceptionConfig:
     delay_s: NonNegativeFloat
     accel_window_s: PositiveFloat
     tracker: TrackerConfig | None
+    occlusion: bool
 
     def check(self, dt_s: float) -> Iterator[Problem]:
         times_s = {"perception.delay_s": (self.delay_s,), "perception.accel_window_s": (self.accel_window_s,)}
@@ -56,7 +59,9 @@ class Perception:
     driver: [E, S] int64, index of the own driver in the population; `NOBODY` without one
     last_horizon: [E, S] float32, s, own prediction horizon of the step before; NaN without one (`World.last_horizon`)
     rest_steps: [E, S] int64, control steps for which the vehicle itself has been at rest (`World.rest_steps`)
+    length, width: [E, S] float32, m, of the own footprint
     other: VehicleState [E, S, O], as sighted or tracked; acceleration from the speeds of the last steps, curvature 0
+    other_length, other_width: [E, S, O] float32, m, of the others' footprints, which a sensor measures without error
     is_seen: [E, S, O] bool, sighted or tracked; where false, the fields of `other` are 0 and mean nothing
     own_history: [E, K, S, 3] float32, own poses x, y, yaw (m, m, rad; world), index 0 now, one step apart
     other_history: [E, K, S, O, 3] float32, poses of the others
@@ -70,7 +75,11 @@ class Perception:
     driver: Tensor
     last_horizon: Tensor
     rest_steps: Tensor
+    length: Tensor
+    width: Tensor
     other: VehicleState
+    other_length: Tensor
+    other_width: Tensor
     is_seen: Tensor
     own_history: Tensor
     other_history: Tensor
@@ -102,7 +111,11 @@ class Perception:
             driver=pick(self.driver),
             last_horizon=pick(self.last_horizon),
             rest_steps=pick(self.rest_steps),
+            length=pick(self.length),
+            width=pick(self.width),
             other=map_tensors(pick, self.other),
+            other_length=pick(self.other_length),
+            other_width=pick(self.other_width),
             is_seen=pick(self.is_seen),
             own_history=pick_past(self.own_history),
             other_history=pick_past(self.other_history),
@@ -126,6 +139,7 @@ class Sensor:
     def __init__(
         self,
         config: PerceptionConfig,
+        road: Road,
         dt_s: float,
         history_steps: int,
         is_attentive: bool = True,
@@ -140,7 +154,8 @@ class Sensor:
         self.memory_steps = config.memory_steps(dt_s, history_steps)
         stds = (config.position_std_m, config.yaw_std_rad, config.speed_std_mps)
         self._is_noisy = any(std > 0 for std in stds)
-        self._sees_all = config.dropout_probability == 0 and config.range_m is None
+        self._occlusion = Occlusion(road) if config.occlusion else None
+        self._sees_all = config.dropout_probability == 0 and config.range_m is None and not config.occlusion
         self._tracker, self._dt_s = None, dt_s
         if config.tracker is not None:
             variances = (config.position_std_m**2, config.yaw_std_rad**2, config.speed_std_mps**2)
@@ -155,6 +170,7 @@ class Sensor:
         if not self._sees_all:
             accel = torch.where(seen.is_seen[:, 0] & seen.is_seen[:, self._window], accel, 0.0)
         n_frames = 1 + self.history_steps
+        others = other_columns(task.length.shape[1], task.length.device)
         return Perception(
             own=world.reference,
             direction=task.direction,
@@ -163,7 +179,11 @@ class Sensor:
             driver=task.casting.driver,
             last_horizon=world.last_horizon,
             rest_steps=world.rest_steps,
+            length=task.length,
+            width=task.width,
             other=VehicleState(pose[..., :2], pose[..., 2], speed, accel, torch.zeros_like(accel)),
+            other_length=task.length[:, others],
+            other_width=task.width[:, others],
             is_seen=is_seen,
             own_history=world.pose_history[:, :n_frames],
             other_history=seen.pose[:, :n_frames],
@@ -228,6 +248,8 @@ class Sensor:
             return replace(seen, is_seen=seen.is_seen.expand_as(seen.speed))
         key = self._keys(world, others, torch.arange(ago, ago + n, device=others.device))
         is_seen = self._is_seen(key, pose, seen)
+        if self._occlusion is not None:
+            is_seen = is_seen & self._occlusion.is_visible(pose, others, world.task)
         if self._is_noisy:
             seen = self._with_errors(key, seen)
         return Sightings(

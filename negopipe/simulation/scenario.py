@@ -16,20 +16,24 @@ from negopipe.schema import (
     FileName,
     Horizon,
     Interval,
+    NonNegativeInt,
     PositiveFloat,
     PositiveInt,
     PositiveInterval,
     PositiveMetres,
     schema,
 )
+from negopipe.simulation.geometry import Size
 from negopipe.simulation.map_config import MapConfig, read_map
 from negopipe.simulation.road_config import RoadConfig, StreetsConfig
+from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import EGO, Casting, Task
+from negopipe.simulation.vehicle_kinds import VehicleKinds, bounds, draw_kinds
 
 
 @schema
 class VehicleConfig:
-    """Footprint of every vehicle, m."""
+    """Footprint of the ego, and of every vehicle without a kind, m."""
 
     length_m: PositiveMetres
     width_m: PositiveMetres
@@ -116,11 +120,13 @@ class ScenarioConfig:
     dt_s: Annotated[PositiveFloat, Field(le=2)]  # a deadlock is told by a few seconds at rest
     episode_steps: PositiveInt
     n_social: PositiveInt
+    n_followers: NonNegativeInt
     social_spacing_m: PositiveMetres
     road: RoadConfig
     streets: StreetsConfig
     map: MapConfig | None
     vehicle: VehicleConfig
+    kinds: VehicleKinds
     ego_start_distance_m: Interval
     start_speed_mps: Interval
     desired_speed_mps: PositiveInterval
@@ -154,6 +160,36 @@ class ScenarioConfig:
             max(n) if isinstance(n, tuple) else n for n in (self.road.n_parked_per_side, self.road.n_corridors)
         )
         return 2 * n_per_side * n_corridors
+
+    @property
+    def n_others(self) -> int:
+        """Social vehicles: those that come towards the ego, then those behind it."""
+        return self.n_social + self.n_followers
+
+    @property
+    def n_vehicles(self) -> int:
+        return 1 + self.n_others
+
+    @property
+    def queue_m(self) -> tuple[float, float]:
+        """Distance of the last vehicle behind the ego to the ego, and of the last oncoming one to the first."""
+        return self.n_followers * self.social_spacing_m, (self.n_social - 1) * self.social_spacing_m
+
+    @property
+    def largest_of_kinds(self) -> dict[str, VehicleConfig]:
+        """Upper bounds of the footprints of each kind."""
+        return {
+            name: VehicleConfig(length_m=bounds(kind.length_m)[1], width_m=bounds(kind.width_m)[1])
+            for name, kind in self.kinds.items()
+        }
+
+    @property
+    def sizes(self) -> Sizes:
+        """Sizes of the ego and of all kinds."""
+        ego = Size(self.vehicle.length_m, self.vehicle.width_m)
+        lengths = [ego.length, *(end for kind in self.kinds.values() for end in bounds(kind.length_m))]
+        widths = [ego.width, *(end for kind in self.kinds.values() for end in bounds(kind.width_m))]
+        return Sizes(ego, Size(min(lengths), min(widths)), Size(max(lengths), max(widths)))
 
     def check(self, foresight: Foresight) -> Iterator[Problem]:
         """foresight: of the planner."""
@@ -230,18 +266,20 @@ class TaskSampler:
 
     def draw(self, n: int) -> Task:
         """Draw `n` tasks, on the generator's device."""
-        scenario, tables, n_social = self.scenario, self._tables, self.scenario.n_social
-        n_vehicles = 1 + n_social
-        widths = [1, 1, 1, 1, n_vehicles, n_vehicles, n_social, n_social, n_social, n_social]
+        scenario, tables = self.scenario, self._tables
+        n_vehicles, n_others = scenario.n_vehicles, scenario.n_others
+        widths = [1, 1, 1, 1, n_vehicles, n_vehicles, n_others, n_others, n_others, n_others]
         shares = torch.rand(n, sum(widths), generator=self.generator, device=self.generator.device)
         which, noise, ego, first, start, desired, style, next_style, switch, patience = shares.split(widths, dim=1)
         family = torch.searchsorted(tables.until, which[:, 0].contiguous(), right=True).clamp(max=len(tables.until) - 1)
-        behind = torch.arange(n_social, device=family.device) * scenario.social_spacing_m
-        social = _outside(tables.gaps[family], tables.distance[family], first) + behind
+        ego = _between(scenario.ego_start_distance_m, ego)
+        queue = torch.arange(n_vehicles, device=family.device) * scenario.social_spacing_m
+        social = _outside(tables.gaps[family], tables.distance[family], first) + queue[: scenario.n_social]
+        followers = ego + queue[1 : 1 + scenario.n_followers]
         direction = -self._draw_streets(n)[:, None].expand(-1, n_vehicles).contiguous()
-        direction[:, EGO] *= -1
+        direction[:, [EGO, *range(1 + scenario.n_social, n_vehicles)]] *= -1
         task = Task(
-            start_distance=torch.cat([_between(scenario.ego_start_distance_m, ego), social], dim=1),
+            start_distance=torch.cat([ego, social, followers], dim=1),
             start_speed=_between(scenario.start_speed_mps, start),
             desired_speed=_between(scenario.desired_speed_mps, desired),
             style_horizon=_with_ego(torch.nan, _one_of(tables.styles, tables.n_styles, family, style)),
@@ -253,8 +291,11 @@ class TaskSampler:
             direction=direction,
             noise_seed=(noise[:, 0] * 2**24).long(),  # 24 bits is what a random float32 has
             family=family,
+            length=torch.full_like(direction, scenario.vehicle.length_m),
+            width=torch.full_like(direction, scenario.vehicle.width_m),
             casting=Casting.of_nobody(direction),
         )
+        task = draw_kinds(scenario.kinds, task)
         return task if self._assign is None else self._assign(task)
 
     def _draw_streets(self, n: int) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor
 from negopipe.simulation.build_road import build_road
 from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.dynamics import Dynamics
+from negopipe.simulation.geometry import Size
 from negopipe.simulation.perception import Sensor, other_columns
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import ScenarioConfig
@@ -53,12 +54,12 @@ class Simulator:
     def __init__(
         self, scenario: ScenarioConfig, sensor: Sensor, dynamics: Dynamics, device: torch.device | str = "cpu"
     ) -> None:
-        self.scenario = scenario
+        self.scenario, self.sizes = scenario, scenario.sizes
         self.sensor = sensor
         self.dynamics = dynamics
         self.road = build_road(scenario, device)
-        others = other_columns(1 + scenario.n_social, device)
-        self.collisions = CollisionCheck(self.road, scenario.vehicle, scenario.dt_s, others)
+        others = other_columns(scenario.n_vehicles, device)
+        self.collisions = CollisionCheck(self.road, scenario.dt_s, others)
 
     def reset(self, task: Task) -> World:
         """Worlds [E] at the start of their tasks: own lane, along the road, at start speed."""
@@ -105,7 +106,7 @@ class Simulator:
         at_rest = replace(world.vehicles, speed=still, accel=still)
         is_wreck = world.has_collided & ~world.has_collided[:, EGO : EGO + 1]
         motion, reference = (tree_where(is_wreck, at_rest, state) for state in (motion, reference))
-        contact = self.collisions.first_contact(world.vehicles, motion, world.task.direction)
+        contact = self.collisions.first_contact(world.vehicles, motion, world.task.direction, self.size(world.task))
         contact = torch.where(world.has_collided, torch.inf, contact)
         motion = self.collisions.moved_until(contact, world.vehicles, motion)
         s = self.road.progress(motion.position, world.task.direction)
@@ -128,6 +129,14 @@ class Simulator:
         )
         moved = replace(moved, tracks=self.sensor.next_tracks(moved))
         return moved, self._events(moved, s)
+
+    def size(self, task: Task) -> Size:
+        """Of the vehicles, [E, V], or floats where all are alike."""
+        return self.sizes.of(task.length, task.width)
+
+    def touches(self, world: World) -> Tensor:
+        """[E, V] bool: the footprint touches another vehicle, a parked car or a kerb."""
+        return self.collisions.touches(world.vehicles, world.task.direction, self.size(world.task))
 
     def _repeat(self, start: Tensor) -> Tensor:
         """[E, ...] -> [E, K, ...]: the history at the start of an episode."""
@@ -160,7 +169,9 @@ class Simulator:
         wrecks = map_tensors(lambda field: field[:, EGO + 1 :], world.vehicles)
         direction = world.task.direction[:, EGO : EGO + 1]
         is_ahead = self.road.progress(wrecks.position, direction) > s[:, None]
-        is_on_route = self.collisions.stands_on_route(wrecks, direction)
+        task = world.task
+        size = self.sizes.of(task.length[:, EGO + 1 :], task.width[:, EGO + 1 :])
+        is_on_route = self.collisions.stands_on_route(wrecks, size, direction, self.sizes.ego)
         return (world.has_collided[:, EGO + 1 :] & is_ahead & is_on_route).any(-1)
 
 

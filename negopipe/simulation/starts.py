@@ -7,7 +7,7 @@ from torch import Tensor
 
 from negopipe.checks import Problem
 from negopipe.simulation.build_road import build_road, draw_streets
-from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
+from negopipe.simulation.geometry import Boxes, Size, boxes_from_pose, overlap_depth
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig
 
@@ -19,6 +19,9 @@ SEARCHED_M = 50.0
 
 FARTHEST_M = 1000.0
 """Start distances that are tried at most: farther away the road is the same everywhere."""
+
+ON_BOTH = (1.0, -1.0)
+"""Both ways along a street."""
 
 TOUCH_M = 1e-3
 """Smallest overlap that is a contact, m; less is rounding."""
@@ -32,21 +35,27 @@ def check_starts(scenario: ScenarioConfig, families: Mapping[str, FamilyConfig],
     """
     starts = _Starts(scenario)
     yield from starts.check_corridor()
-    yield from starts.check_roadside(ego_key, scenario.ego_start_distance_m, _tried(scenario.ego_start_distance_m), 1.0)
+    queue = torch.arange(scenario.n_vehicles) * scenario.social_spacing_m
+    distance = _tried(scenario.ego_start_distance_m)[:, None] + queue[: 1 + scenario.n_followers]
+    yield from starts.check_roadside(ego_key, scenario.ego_start_distance_m, distance, 1.0)
+    yield from starts.check_spacing(distance, 1.0)
     pieces = {piece: key for key, family in families.items() for piece in family.pieces_m or [family.start_distance_m]}
-    behind = torch.arange(scenario.n_social) * scenario.social_spacing_m
     for piece, key in pieces.items():  # what several families have in common is tried once
-        distance = _tried(piece)[:, None] + behind
+        distance = _tried(piece)[:, None] + queue[: scenario.n_social]
         yield from starts.check_roadside(f"{key}.start_distance_m", piece, distance, -1.0)
-        yield from starts.check_spacing(distance)
+        yield from starts.check_spacing(distance, -1.0)
         yield from starts.check_ego(f"{key}.start_distance_m", piece[0], ego_key)
+    behind_ego_m, behind_social_m = scenario.queue_m
+    farthest_m = max(scenario.ego_start_distance_m[1] + behind_ego_m, *(piece[1] + behind_social_m for piece in pieces))
+    yield from starts.check_kinds(min(farthest_m, FARTHEST_M))
 
 
 class _Starts:
     """Start positions of a scenario, and their checks."""
 
     def __init__(self, scenario: ScenarioConfig) -> None:
-        self.scenario, self.size = scenario, scenario.vehicle
+        self.scenario, self.size = scenario, scenario.sizes.ego
+        self.largest = scenario.sizes.largest
         self.streets, self.road = draw_streets(scenario), build_road(scenario)
         self._number = torch.arange(1.0, 1 + self.road.n_streets)
 
@@ -54,9 +63,25 @@ class _Starts:
         """A vehicle fits between the parked cars; a map's road is checked where it is built."""
         if not self.streets:
             return
-        gap_m, width_m = min(street.corridor_gap_m for street in self.streets), self.size.width_m
-        if width_m > gap_m:
-            yield Problem("scenario.vehicle.width_m", f"be at most scenario.road.corridor_gap_m = {gap_m}", width_m)
+        gap_m = min(street.corridor_gap_m for street in self.streets)
+        widths = {"scenario.vehicle": self.size.width}
+        widths |= {f"scenario.kinds.{name}": kind.width_m for name, kind in self.scenario.largest_of_kinds.items()}
+        for key, width_m in widths.items():
+            if width_m > gap_m:
+                yield Problem(f"{key}.width_m", f"be at most scenario.road.corridor_gap_m = {gap_m}", width_m)
+
+    def check_kinds(self, farthest_m: float) -> Iterator[Problem]:
+        """The largest vehicle of every kind gets from its start to its target along both routes."""
+        last_m = float(torch.as_tensor(self.road.target_s(self._number)).max())
+        s = torch.arange(-farthest_m, last_m, STEP_M)
+        for name, kind in self.scenario.largest_of_kinds.items():
+            size = Size(kind.length_m, kind.width_m)
+            touches = torch.stack([self._touches(-s, way, size) for way in ON_BOTH])
+            if touches.any():
+                first_m = float(s.expand_as(touches)[touches].abs().min())
+                rule = "fit along the routes of all streets (a longer scenario.road.swerve_length_m, a wider gap)"
+                got = f"{kind.length_m:g} m x {kind.width_m:g} m, which touches a parked car or a kerb {first_m:g} m"
+                yield Problem(f"scenario.kinds.{name}", rule, f"{got} from a mouth of the corridor")
 
     def check_roadside(
         self, key: str, interval: tuple[float, float], distance: Tensor, direction: float
@@ -65,12 +90,12 @@ class _Starts:
         if interval[0] == 0:
             yield Problem(key, "be greater than 0, where the corridor begins", list(interval))
             return
-        touches = self._touches(distance, direction)
+        touches = self._touches(distance, direction, self.size)
         if not touches.any():
             return
-        nearest_m, width_m = float(distance.expand_as(touches)[touches].min()), self.size.width_m
+        nearest_m, width_m = float(distance.expand_as(touches)[touches].min()), self.size.width
         farther = nearest_m + torch.arange(0, SEARCHED_M, STEP_M)
-        clear = farther[~self._touches(farther, direction).any(0)]
+        clear = farther[~self._touches(farther, direction, self.size).any(0)]
         lane_m = min((street.width_m - 2 * street.lane_offset_m for street in self.streets), default=0.0)
         if self.streets and not len(clear) and width_m > lane_m:
             rule = f"be at most scenario.road.width_m - 2 lane_offset_m = {lane_m:g}, the width of a lane"
@@ -80,26 +105,32 @@ class _Starts:
         touch = f"at {nearest_m:g} m a vehicle touches one{hint}"
         yield Problem(key, "keep clear of kerbs and parked cars", f"{list(interval)}: {touch}")
 
-    def check_spacing(self, distance: Tensor) -> Iterator[Problem]:
-        """Social vehicles, which start at the distances [N, S], do not start in each other."""
-        ahead, behind = self._boxes(distance[:, :-1], -1.0), self._boxes(distance[:, 1:], -1.0)
+    def check_spacing(self, distance: Tensor, direction: float) -> Iterator[Problem]:
+        """Vehicles of one direction, which start at the distances [N, S], do not start in each other."""
+        ahead, behind = (self._boxes(each, direction, self.largest) for each in (distance[:, :-1], distance[:, 1:]))
         if (overlap_depth(ahead, behind) > TOUCH_M).any():
-            rule = f"keep vehicles of scenario.vehicle.length_m = {self.size.length_m} apart"
-            yield Problem("scenario.social_spacing_m", rule, self.scenario.social_spacing_m)
+            yield Problem("scenario.social_spacing_m", self._apart, self.scenario.social_spacing_m)
+
+    @property
+    def _apart(self) -> str:
+        lengths_m = {"vehicle": self.size.length}
+        lengths_m |= {f"kinds.{name}": kind.length_m for name, kind in self.scenario.largest_of_kinds.items()}
+        longest = max(lengths_m, key=lengths_m.__getitem__)
+        return f"keep vehicles of scenario.{longest}.length_m = {lengths_m[longest]} apart"
 
     def check_ego(self, key: str, social_m: float, ego_key: str) -> Iterator[Problem]:
         """The ego and the nearest social vehicle do not start in each other."""
-        ego_m = self.scenario.ego_start_distance_m[0]
-        ego, social = (self._boxes(torch.tensor([m]), way) for m, way in ((ego_m, 1.0), (social_m, -1.0)))
+        ego = self._boxes(torch.tensor([self.scenario.ego_start_distance_m[0]]), 1.0, self.size)
+        social = self._boxes(torch.tensor([social_m]), -1.0, self.largest)
         if (overlap_depth(ego, social) > TOUCH_M).any():
             lengths_m = [street.corridor_length_m for street in self.streets]
             corridor = f"scenario.road.corridor_length_m = {min(lengths_m)}" if lengths_m else "the narrow places"
-            across = f"across {corridor}"
-            yield Problem(f"{key} and {ego_key}", "keep the vehicles apart", f"{social_m} and {ego_m} {across}")
+            got = f"{social_m} and {self.scenario.ego_start_distance_m[0]} across {corridor}"
+            yield Problem(f"{key} and {ego_key}", "keep the vehicles apart", got)
 
-    def _touches(self, distance: Tensor, direction: float) -> Tensor:
+    def _touches(self, distance: Tensor, direction: float, size: Size) -> Tensor:
         """[B, ...] bool: a vehicle with the start distance [...] touches a parked car or goes over a kerb."""
-        boxes, parked = self._boxes(distance, direction), self.road.parked_boxes(self._way(distance, direction))
+        boxes, parked = self._boxes(distance, direction, size), self.road.parked_boxes(self._way(distance, direction))
         x, y, cos, sin = (field[..., None] for field in boxes[:4])
         is_in_a_car = overlap_depth(boxes._replace(x=x, y=y, cos=cos, sin=sin), parked) > TOUCH_M
         return is_in_a_car.any(-1) | self.road.is_off_road(boxes, self._way(distance, direction))
@@ -108,14 +139,14 @@ class _Starts:
         """[B, ...]: the direction of every street, with an axis for each of `distance`."""
         return direction * self._number.reshape(-1, *[1] * distance.dim()).expand(-1, *distance.shape)
 
-    def _boxes(self, distance: Tensor, direction: float) -> Boxes:
+    def _boxes(self, distance: Tensor, direction: float, size: Size) -> Boxes:
         """Footprints [B, ...] of vehicles that start `distance` [...] before their mouth, on their route."""
         way = self._way(distance, direction)
         s = -distance.expand_as(way)
         start = RouteState(s, torch.zeros_like(s), torch.zeros_like(s), *self.road.route_offset(s, way))
         vehicles = self.road.to_world(start, way)
         x, y = vehicles.position.unbind(-1)
-        return boxes_from_pose(x, y, vehicles.yaw, self.size.length_m, self.size.width_m)
+        return boxes_from_pose(x, y, vehicles.yaw, *size)
 
 
 def _tried(interval: tuple[float, float]) -> Tensor:

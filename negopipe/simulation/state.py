@@ -1,7 +1,7 @@
 """Tensor dataclasses that hold the world, and the axes, declared once.
 
-Axes: E worlds, V vehicles (column 0 is the ego, the others are social), T time, P parked cars,
-H/W rows and columns of the grid, C candidates of the planner.
+Axes: E worlds, V vehicles (column 0 is the ego, the others are social: those that come towards it, then those behind
+it), T time, P parked cars, H/W rows and columns of the grid, C candidates of the planner.
 
 Frames
     world   right-handed, metres; the corridor's middle is the origin and the road's reference line leaves it
@@ -92,6 +92,7 @@ class Task:
     direction: [E, V] float32, +n drives along the line of street n (n from 1; towards growing sigma), -n against it
     noise_seed: [E] int64, from 0 to 2^24 - 1, of the errors with which vehicles perceive each other
     family: [E] int64, index of the task family (push, yield, ...) in `TaskSampler.families`
+    length, width: [E, V] float32, m, of the footprint
     casting: who drives the social vehicles
     """
 
@@ -105,6 +106,8 @@ class Task:
     direction: Tensor
     noise_seed: Tensor
     family: Tensor
+    length: Tensor
+    width: Tensor
     casting: Casting
 
     def __len__(self) -> int:
@@ -215,8 +218,8 @@ class World:
 def world_memory(n_worlds: int, n_vehicles: int, memory_steps: int, delay_steps: int) -> Memory:
     """Memory of worlds that remember `memory_steps` past states, while everyone looks at everyone's past."""
     n_numbers = memory_steps * n_vehicles**2 * 4 + delay_steps * n_vehicles * 2
-    keys = "algorithm.n_worlds scenario.n_social scenario.dt_s observation.n_frames observation.frame_interval_s"
-    keys += " perception.delay_s perception.accel_window_s"
+    keys = "algorithm.n_worlds scenario.n_social scenario.n_followers scenario.dt_s observation.n_frames"
+    keys += " observation.frame_interval_s perception.delay_s perception.accel_window_s"
     return Memory("the worlds' past", n_worlds * n_numbers * FLOAT_BYTES * N_TEMPORARIES, tuple(keys.split()))
 
 

@@ -58,7 +58,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     folder = tracked.folder / FOLDER
     folder.mkdir(exist_ok=True)
     name = "_".join(map(str, which))
-    scene = scene_of(config.scenario.vehicle, game.simulator.road, int(trace.street[0]), config.planner.horizon_s)
+    scene = scene_of(game.simulator.road, int(trace.street[0]), config.planner.horizon_s)
     fixed_s = config.evaluation.fixed_horizons_s
     files = {
         "gif": animation.animate([trace], 0, scene, config.report.animation_fps, fixed_s, policy_trace),

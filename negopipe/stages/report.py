@@ -72,7 +72,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
             config.report,
             films,
             traces,
-            lambda street: scene_of(config.scenario.vehicle, road, street, config.planner.horizon_s),
+            lambda street: scene_of(road, street, config.planner.horizon_s),
             policy_traces,
             fixed_s,
         ),

@@ -109,7 +109,10 @@ def test_cautious_waits_where_the_other_can_pass_and_goes_on_waiting(
 )
 def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: float, waiting_m: float) -> None:
     simulator = build_game(compose_config([f"scenario={scenario}"])).simulator
-    early, latest = (waiting_places(simulator.collisions, latest_m)[int(side < 0), 0] for latest_m in (-9.0, 0.0))
+    early, latest = (
+        waiting_places(simulator.collisions, simulator.scenario.sizes, latest_m)[int(side < 0), 0]
+        for latest_m in (-9.0, 0.0)
+    )
     assert early == waiting_m
     assert latest < -5.0  # in the corridor nobody can pass
 
@@ -171,7 +174,7 @@ def test_random_horizons_are_equally_likely_and_kept(game: Game, baselines: dict
 def test_an_encounter_by_hand(config: RunConfig, game: Game) -> None:
     task = task_with(config, 16.0, 6.0)
     perception = game.perceive(game.simulator.reset(task)).of(0)
-    met = encounter(game.simulator.road, config.scenario.vehicle.length_m, perception)
+    met = encounter(game.simulator.road, perception)
     ego_m = task.start_distance[0, 0].item()
     assert met.own.s.item() == pytest.approx(-ego_m, abs=1e-3)
     assert met.other_s.item() == pytest.approx(-16.0, abs=1e-3)
@@ -179,12 +182,12 @@ def test_an_encounter_by_hand(config: RunConfig, game: Game) -> None:
     assert met.apart_m.item() == pytest.approx(ego_m + 12.0 + 16.0, abs=1e-3)
     assert met.is_oncoming.all()
     unseen = replace(perception, is_seen=torch.zeros_like(perception.is_seen))
-    assert not encounter(game.simulator.road, 4.5, unseen).is_oncoming.any()
+    assert not encounter(game.simulator.road, unseen).is_oncoming.any()
     # where they have passed each other by more than a vehicle's length, nobody comes any more
     behind = replace(
         perception, own=replace(perception.own, position=perception.own.position + torch.tensor([50.0, 0]))
     )
-    assert not encounter(game.simulator.road, 4.5, behind).is_oncoming.any()
+    assert not encounter(game.simulator.road, behind).is_oncoming.any()
 
 
 def test_the_intelligent_driver_model_by_hand(baselines: dict[str, DriverConfig]) -> None:
@@ -238,10 +241,21 @@ def test_it_waits_for_who_could_be_there_too_soon(
     assert isinstance(usual, cautious.Config)
     one = torch.ones(1, 1)
     own = RouteState(-10 * one, 5 * one, 0 * one, 0 * one, 0 * one, 0 * one)
+    each = one[None]
     met = Encounter(
-        own, own.s, 12 * one, -other_m * one[None], 7.5 * one[None], 58 * one[None], one[None] > 0, one[None] < 0
+        own=own,
+        own_s=own.s,
+        narrow_m=12 * one,
+        own_m=4.5 * each,
+        other_m=4.5 * each,
+        other_s=-other_m * each,
+        other_speed=7.5 * each,
+        apart_m=58 * each,
+        touch_m=4.5 * each,
+        is_oncoming=each > 0,
+        is_ahead=each < 0,
     )
-    must_wait = replace(usual, margin_s=margin_s).must_wait(met, 6 * one, 4.5)
+    must_wait = replace(usual, margin_s=margin_s).must_wait(met, 6 * one)
     lines = route_following.StopLines(game.simulator, usual.stop_s_m, usual.gap_m)
     line = lines.hindrance(met, must_wait, one)
     assert line.gap_m.item() == pytest.approx(gap_m)  # to s = -9 m, and 2 m that it would keep

@@ -12,7 +12,6 @@ from negopipe.evaluation import comparison, episodes_file, measures
 from negopipe.evaluation.episodes_file import COLUMNS, EPISODES, Drives, EpisodeColumn, episodes
 from negopipe.evaluation.measure import Measure, itself, mean, share, share_with_interval
 from negopipe.report.tables import tables
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.stages.evaluate import charts, terminal_table
 
 FIXED_S = {"fixed_2": 2.0}
@@ -35,7 +34,7 @@ SPEED_COLUMN = EpisodeColumn(
 
 def drives_of(planner: str, speed_mps: float) -> Drives:
     trace = replace(make_trace([speed_mps] * 4, 3, (2, 3), "success"), planner=planner)
-    return Drives(trace, VehicleConfig(length_m=4.5, width_m=1.8), braking_mps2=8.0, plan_s=6.0)
+    return Drives(trace, braking_mps2=8.0, plan_s=6.0)
 
 
 def evaluated() -> tuple[pd.DataFrame, dict[str, Any]]:

@@ -12,7 +12,6 @@ from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.measures import summary
 from negopipe.evaluation.metrics import behaviour_index, passes_first, suspensions
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.simulation.scenario import VehicleConfig
 
 DT_S = 0.2
 CORRIDOR_M = 12.0
@@ -33,6 +32,8 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
         corridor_m=np.full(len(start), CORRIDOR_M, dtype=np.float32),
         start_distance_m=start,
         style_horizon_s=np.array([[np.nan, 6.0]], dtype=np.float32),
+        length_m=np.full((1, 2), 4.5, dtype=np.float32),
+        width_m=np.full((1, 2), 1.8, dtype=np.float32),
         driver=np.array([["", "planner"]]),
         position_m=np.zeros((n_states, 1, 2, 2), dtype=np.float32),
         yaw_rad=np.zeros((n_states, 1, 2), dtype=np.float32),
@@ -48,7 +49,7 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
 
 
 def drives_of(trace: Trace) -> Drives:
-    return Drives(trace, VehicleConfig(length_m=4.5, width_m=1.8), braking_mps2=8.0, plan_s=6.0)
+    return Drives(trace, braking_mps2=8.0, plan_s=6.0)
 
 
 def concatenate(*traces: Trace) -> Trace:

@@ -12,9 +12,7 @@ from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.safety import avoidable_by, box_distance, footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, time_to_collision
-from negopipe.simulation.scenario import VehicleConfig
 
-VEHICLE = VehicleConfig(length_m=4.0, width_m=2.0)
 BRAKING_MPS2 = 8.0
 
 
@@ -54,6 +52,8 @@ def make_trace(social_x_m: list[list[float]]) -> Trace:
         corridor_m=np.full(1, 12.0, dtype=np.float32),
         start_distance_m=np.zeros((1, n_vehicles)),
         style_horizon_s=np.zeros((1, n_vehicles)),
+        length_m=np.full((1, n_vehicles), 4.0, dtype=np.float32),
+        width_m=np.full((1, n_vehicles), 2.0, dtype=np.float32),
         driver=np.full((1, n_vehicles), "planner"),
         position_m=np.stack([x, np.zeros_like(x)], -1),
         yaw_rad=np.broadcast_to(facing, x.shape).copy(),
@@ -72,7 +72,7 @@ def make_trace(social_x_m: list[list[float]]) -> Trace:
     ("social_x_m", "gap_m"), [([[20.0, 40.0], [9.0, 30.0], [12.0, 8.0]], 4.0), ([[9.0], [3.0], [9.0]], 0.0)]
 )
 def test_smallest_gap_is_over_time_and_all_social_vehicles(social_x_m: list[list[float]], gap_m: float) -> None:
-    gap = smallest_gap(footprints(make_trace(social_x_m), VEHICLE))
+    gap = smallest_gap(footprints(make_trace(social_x_m)))
     assert gap.tolist() == pytest.approx([gap_m], abs=1e-5)
 
 
@@ -143,18 +143,18 @@ STEADY, STANDING = [5.0] * 16, [0.0] * 16
 )
 def test_who_could_have_avoided_it(ego_mps: list[float], social_mps: list[float], apart_m: float, who: str) -> None:
     trace = drive(ego_mps, social_mps, apart_m)
-    assert avoidable_by(trace, VEHICLE, BRAKING_MPS2).tolist() == [who]
+    assert avoidable_by(trace, BRAKING_MPS2).tolist() == [who]
     unharmed = replace(trace, outcome=np.array([OUTCOMES.index("success")]))
-    assert avoidable_by(unharmed, VEHICLE, BRAKING_MPS2).tolist() == ["none"]
+    assert avoidable_by(unharmed, BRAKING_MPS2).tolist() == ["none"]
 
 
 def test_weaker_brakes_avoid_less() -> None:
     trace = drive(STEADY, STANDING, 18.9)
-    assert avoidable_by(trace, VEHICLE, 0.5).tolist() == ["nobody"]
+    assert avoidable_by(trace, 0.5).tolist() == ["nobody"]
 
 
 def row_of(trace: Trace) -> pd.Series:
-    return episodes(Drives(trace, VEHICLE, BRAKING_MPS2, plan_s=6.0)).iloc[0]
+    return episodes(Drives(trace, BRAKING_MPS2, plan_s=6.0)).iloc[0]
 
 
 def test_a_row_of_measures() -> None:

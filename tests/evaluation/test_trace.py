@@ -25,6 +25,8 @@ def make_trace(planner: str, seed: int) -> Trace:
         corridor_m=floats(3),
         start_distance_m=floats(3, 2),
         style_horizon_s=np.array([[np.nan, 2.0]] * 3, dtype=np.float32),
+        length_m=np.full((3, 2), 4.5, dtype=np.float32),
+        width_m=np.full((3, 2), 1.8, dtype=np.float32),
         driver=np.array([["", "planner"]] * 3),
         position_m=floats(6, 3, 2, 2),
         yaw_rad=floats(6, 3, 2),

@@ -38,7 +38,7 @@ def objects_game(objects_config: RunConfig) -> Game:
 def observation(game: Game, config: ObjectsConfig) -> Objects:
     simulator: Simulator = game.simulator
     scenario = simulator.scenario
-    return Objects(config, Passage.of(simulator.collisions), scenario.vehicle, scenario.dt_s)
+    return Objects(config, Passage.of(simulator.collisions, scenario.sizes), scenario.dt_s)
 
 
 def objects_of(config: RunConfig) -> ObjectsConfig:
@@ -194,3 +194,18 @@ def test_a_long_history_than_the_observation_shows_changes_nothing(objects_confi
     longer = compose_config([*OBJECTS, "perception.accel_window_s=6.0", "perception.delay_s=0.4"])
     game = build_game(longer)
     assert game.see(driven(game, draw_tasks(longer, 2), 5)).shape == (2, *game.observation_shape)
+
+
+def test_sizes_are_those_of_each_vehicle_and_a_longer_one_waits_farther_back() -> None:
+    config = compose_config([*OBJECTS, "scenario/kind=[bus,cyclist]"])
+    game, by = build_game(config), objects_of(config).scales
+    world = game.simulator.reset(draw_tasks(config, 8))
+    ego, its = (blocks(config, game.see_as(world, torch.full((8,), vehicle))) for vehicle in (0, 1))
+    sizes = torch.stack([world.task.length, world.task.width], -1) / by.width_m
+    assert sizes[:, 1, 0].unique().numel() == 2
+    for seen, other, vehicle in ((ego, its, 0), (its, ego, 1)):
+        torch.testing.assert_close(seen[0][:, OWN - 2 : OWN], sizes[:, vehicle])
+        torch.testing.assert_close(other[1][:, 0, PER_OTHER - 2 : PER_OTHER], sizes[:, vehicle])
+    to_wait = its[0][:, TO_MOUTH] - its[0][:, TO_MOUTH + 2]  # from its last waiting place to the mouth
+    longer = (world.task.length[:, 1] - config.scenario.vehicle.length_m) / 2 / by.distance_m
+    torch.testing.assert_close(to_wait - longer, (to_wait - longer).mean().expand(8))

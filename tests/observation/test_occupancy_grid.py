@@ -99,7 +99,7 @@ def test_a_smaller_grid_is_the_middle_of_a_larger_one(config: RunConfig, game: G
     perception = game.perceive(some_worlds(config, game, 10)).of(EGO)
     scenario, n_cells = config.scenario, config.observation.n_cells - fewer
     smaller = OccupancyGrid(
-        replace(config.observation, n_cells=n_cells), game.simulator.road, scenario.vehicle, scenario.dt_s
+        replace(config.observation, n_cells=n_cells), game.simulator.road, scenario.sizes, scenario.dt_s
     )
     middle = slice(fewer // 2, fewer // 2 + n_cells)
     assert (smaller.draw(perception) == game.draw(perception)[..., fewer:, middle]).all()
@@ -110,7 +110,7 @@ def test_options_act(config: RunConfig, game: Game, key: str, value: float) -> N
     world = some_worlds(config, game, 10)
     changed = replace(config.observation, **{key: value})
     scenario = config.scenario
-    other = OccupancyGrid(changed, game.simulator.road, scenario.vehicle, scenario.dt_s)
+    other = OccupancyGrid(changed, game.simulator.road, scenario.sizes, scenario.dt_s)
     assert (other.draw(game.perceive(world).of(EGO)) != game.draw(game.perceive(world).of(EGO))).any()
 
 
@@ -118,9 +118,7 @@ def test_frames_and_interval_act(config: RunConfig, game: Game) -> None:
     world = some_worlds(config, game, 20)
     scenario = config.scenario
     fewer = replace(config.observation, n_frames=2, frame_interval_s=2.0)
-    grids = OccupancyGrid(fewer, game.simulator.road, scenario.vehicle, scenario.dt_s).draw(
-        game.perceive(world).of(EGO)
-    )
+    grids = OccupancyGrid(fewer, game.simulator.road, scenario.sizes, scenario.dt_s).draw(game.perceive(world).of(EGO))
     full = game.draw(game.perceive(world).of(EGO))
     assert grids.shape[1] == 2
     assert (grids == full[:, ::2]).all()

@@ -36,7 +36,7 @@ def free_by_loop(road: Road, s: Tensor, way: Tensor) -> tuple[Tensor, Tensor]:
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_places_agree_with_a_loop(name: str) -> None:
     game = build_game(compose_config([f"scenario={name}", *SCENARIOS[name]]))
-    road, passage = game.simulator.road, Passage.of(game.simulator.collisions)
+    road, passage = game.simulator.road, Passage.of(game.simulator.collisions, game.simulator.sizes)
     ahead, s = StreetAhead(road, passage), torch.arange(-60.0, 90.0, 1.5)  # knots, so that nothing is interpolated
     for way in road.ways:
         on = way.expand_as(s)
@@ -44,7 +44,7 @@ def test_places_agree_with_a_loop(name: str) -> None:
         is_other = (found[:, LEFT] - left).abs().maximum((found[:, RIGHT] - right).abs()) > 1e-3
         assert is_other.sum() <= 2  # a car may end at a knot
         torch.testing.assert_close(found[:, CURVATURE], road.curvature(s, on)[0], atol=1e-5, rtol=1e-4)
-        narrow, closed = road.narrow_place(s, on), (passage.waiting_s(s, on), passage.leaving_s(s, on))
+        narrow, closed = road.narrow_place(s, on), (passage.waiting_s(s, on, 4.5), passage.leaving_s(s, on, 4.5))
         for column, (first, last) in ((IS_NARROW, narrow), (IS_CLOSED, closed)):
             is_clear = torch.minimum((first - s).abs(), (last - s).abs()) > 1e-3
             expected = ((s > first) & (s < last)).float()
@@ -54,7 +54,10 @@ def test_places_agree_with_a_loop(name: str) -> None:
 
 def test_between_knots_it_is_linear_and_beyond_its_ends_constant() -> None:
     game = build_game(compose_config(["scenario=s_curve"]))
-    ahead, one = StreetAhead(game.simulator.road, Passage.of(game.simulator.collisions)), torch.ones(2)
+    ahead, one = (
+        StreetAhead(game.simulator.road, Passage.of(game.simulator.collisions, game.simulator.sizes)),
+        torch.ones(2),
+    )
     knots = ahead.at(torch.tensor([4.0, 4.5]), one)
     between = ahead.at(torch.tensor([4.25, 4.25]), one)
     torch.testing.assert_close(between, knots.mean(0).expand(2, -1), atol=1e-4, rtol=1e-4)

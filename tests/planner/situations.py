@@ -7,10 +7,12 @@ import torch
 from torch import Tensor
 
 from negopipe.planner.situation import Others, Situation
-from negopipe.simulation.geometry import Boxes, boxes_from_pose
+from negopipe.simulation.geometry import Boxes, Size, boxes_from_pose
 from negopipe.simulation.one_street import OneStreet
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import VehicleState
+
+CAR = Size(4.5, 1.8)
 
 
 def draw_situations(road: OneStreet, n: int, seed: int) -> Situation:
@@ -31,8 +33,8 @@ def draw_situations(road: OneStreet, n: int, seed: int) -> Situation:
     other_s = other_direction * other_sigma + road.config.corridor_length_m / 2
     other = road.to_world(_somewhere(road, other_s, other_direction, between), other_direction)
     columns = (field[None] for field in (other.position, other.yaw, other.speed, other.accel, other.curvature))
-    others = Others.of(road, VehicleState(*columns), direction, torch.ones(1, n, dtype=torch.bool))
-    return Situation(route, direction, between(3, 6), between(0, 6), others)
+    others = Others.of(road, VehicleState(*columns), direction, torch.ones(1, n, dtype=torch.bool), CAR)
+    return Situation(route, direction, between(3, 6), between(0, 6), CAR, others)
 
 
 def _somewhere(road: OneStreet, s: Tensor, direction: Tensor, between: Callable[[float, float], Tensor]) -> RouteState:

@@ -57,18 +57,18 @@ def check(planner: FrenetPlanner, x: Situation) -> Checked:
 
 def directly(planner: FrenetPlanner, x: Situation, travelled: Tensor, coefficients: tuple[Tensor, ...]) -> Tensor:
     """[L, C, T, N] m: depth of every footprint in the grown box of the other, both in the world."""
-    road, size, clearance = planner.road, planner.vehicle, planner.config.clearance
+    road, size, clearance = planner.road, planner.sizes.ego, planner.config.clearance
     predicted = predict(planner.config.prediction, road, x.others, x.direction, planner.times)
     d, d_prime, _ = planner.lateral.follow(coefficients, x.route.s, x.direction, travelled)
     s = x.route.s + travelled
     tan = d_prime / (1 - road.curvature(s, x.direction)[0] * d)
-    own = world_boxes(road, s, x.direction, d, tan, size.length_m, size.width_m)
-    length = size.length_m + 2 * clearance.ahead_m
+    own = world_boxes(road, s, x.direction, d, tan, size.length, size.width)
+    length = size.length + 2 * clearance.ahead_m
     seen = (field[0] for field in predicted)
     s, d, tan = seen
-    grown = world_boxes(road, s, x.direction, d, tan, length, size.width_m)
+    grown = world_boxes(road, s, x.direction, d, tan, length, size.width)
     beside = clearance.beside_m + clearance.beside_s * x.others.speed[0].double()
-    return overlap_depth(own, grown._replace(half_width=size.width_m / 2 + beside))
+    return overlap_depth(own, grown._replace(half_width=size.width / 2 + beside))
 
 
 @pytest.fixture(scope="module", params=[("narrow_lane", 25), ("bent_street", 10)], ids=str)

@@ -4,6 +4,7 @@ import pytest
 import torch
 from composed import compose_config
 from games import draw_tasks, drive, meet
+from situations import CAR
 from torch import Tensor
 
 from negopipe.config.root import RunConfig
@@ -33,8 +34,8 @@ def test_leaders_have_a_horizon_of_their_own_and_followers_none() -> None:
     other = road.to_world(RouteState(at, zero + 3, zero, *road.route_offset(at, its_direction)), its_direction)
     route = RouteState(*torch.zeros(6, 2))
     direction, horizon = torch.tensor([1.0, -1.0]), torch.tensor([2.0, torch.inf])
-    others = Others.of(road, other, direction, torch.ones(4, 2, dtype=torch.bool))
-    seconds = predicted_s(4.0, Situation(route, direction, horizon, horizon, others))
+    others = Others.of(road, other, direction, torch.ones(4, 2, dtype=torch.bool), CAR)
+    seconds = predicted_s(4.0, Situation(route, direction, horizon, horizon, CAR, others))
     assert seconds.tolist() == [[4.0, torch.inf], [0.0, 0.0], [2.0, torch.inf], [4.0, 0.0]]
 
 

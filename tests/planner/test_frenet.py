@@ -165,7 +165,7 @@ def test_options_act(config: RunConfig, game: Game, change: str) -> None:
     section = getattr(config.planner, part)
     changed = replace(config.planner, **{part: replace(section, **{key: getattr(section, key) * 3 + 0.5})})
     scenario = config.scenario
-    other = FrenetPlanner(changed, game.simulator.road, scenario.vehicle, scenario.dt_s)
+    other = FrenetPlanner(changed, game.simulator.road, scenario.sizes, scenario.dt_s)
     world = game.simulator.reset(draw_tasks(config, 8))
     horizon = torch.tensor([[6.0, 2.0]]).expand(8, 2)
     differs = False

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from situations import CAR
 
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
@@ -22,7 +23,7 @@ def roll_out(
     times = torch.tensor([1.0, 2.0, 4.0])
     road = game.simulator.road
     direction = torch.tensor([viewer])
-    others = Others.of(road, vehicle, direction, torch.ones(1, 1, dtype=torch.bool))
+    others = Others.of(road, vehicle, direction, torch.ones(1, 1, dtype=torch.bool), CAR)
     path = predict(config.planner.prediction, road, others, direction, times)
     return PredictedPath(*(field[:, 0] for field in path))
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import pytest
 import torch
 from composed import compose_config
-from situations import world_boxes
+from situations import CAR, world_boxes
 from torch import Tensor
 
 from negopipe.game.game import build_game
@@ -43,7 +43,7 @@ def touches(roadside: Roadside, at: Places, grown_m: float) -> Tensor:
     """[N] bool: a footprint with its clearance and `grown_m` on every side meets a parked car or a kerb."""
     road = roadside.road
     tan = at.d_prime / (1 - road.curvature(at.s, at.direction)[0] * at.d)
-    length, width = (2 * (float(half) + grown_m) for half in (roadside.half_length, roadside.half_width))
+    length, width = (2 * (float(half) + grown_m) for half in (side / 2 + roadside.clearance_m for side in CAR))
     boxes = world_boxes(road, at.s, at.direction, at.d, tan, length, width)
     columns = boxes._replace(**{name: getattr(boxes, name)[:, None] for name in ("x", "y", "cos", "sin")})
     return road.is_off_road(boxes) | (overlap_depth(columns, road.parked_boxes()) > 0).any(-1)
@@ -61,9 +61,9 @@ def touches(roadside: Roadside, at: Places, grown_m: float) -> Tensor:
 )
 def test_excess_tells_who_touches_the_roadside(scenario: str, n: int, optimistic_m: float, careful_m: float) -> None:
     config = compose_config([f"scenario={scenario}"])
-    roadside = Roadside(OneStreet(config.scenario.road.street), config.scenario.vehicle, torch.tensor([0.2]))
+    roadside = Roadside(OneStreet(config.scenario.road.street), config.scenario.sizes, torch.tensor([0.2]))
     at = draw_places(n, config.scenario.road.corridor_length_m)
-    excess = roadside.excess(at.s[None], at.direction, at.d[None, None], at.d_prime[None, None])[0, 0]
+    excess = roadside.excess(at.s[None], at.direction, at.d[None, None], at.d_prime[None, None], CAR)[0, 0]
     is_refused = excess > 0
     assert 0.3 < float(is_refused.float().mean()) < 0.9
     assert is_refused[touches(roadside, at, -optimistic_m - 1e-4)].all()

@@ -187,7 +187,7 @@ def test_candidates_are_consistent_in_time_and_space(driving: Driving) -> None:
     """The step taken is the start of the whole candidate: each derivative is that of the one before."""
     planner = driving.game.planner
     fine_s = 0.01
-    fine = FrenetPlanner(replace(planner.config, horizon_s=1.0), planner.road, planner.vehicle, fine_s)
+    fine = FrenetPlanner(replace(planner.config, horizon_s=1.0), planner.road, planner.sizes, fine_s)
     x = draw_situations(planner.road, 40, seed=5)
     coarse_samples = planner.longitudinal.sample(x.route, x.desired_speed)
     samples = fine.longitudinal.sample(x.route, x.desired_speed)

@@ -7,7 +7,6 @@ import pytest
 from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.trace import Trace
 from negopipe.report.scene import Scene
-from negopipe.simulation.scenario import VehicleConfig
 
 DT_S = 0.2
 N_STEPS = 128
@@ -31,8 +30,6 @@ def make_scene() -> Scene:
         kerbs_m=np.stack([np.stack([sigma, side * kerb], -1) for side in (-1, 1)]),
         corridors_m=[np.array([[(x, side * 3.5) for x in (-6.0, 6.0)] for side in (-1, 1)])],
         route_d_m=np.stack([keep_right, -keep_right]),
-        vehicle_length_m=4.5,
-        vehicle_width_m=1.8,
         plan_s=6.0,
     )
 
@@ -92,6 +89,8 @@ def _finish(
         corridor_m=np.full(len(start), CORRIDOR_M, dtype=np.float32),
         start_distance_m=start.astype(np.float32),
         style_horizon_s=np.tile(np.float32([np.nan, STYLE_S[family]]), (n_episodes, 1)),
+        length_m=np.full((n_episodes, 2), 4.5, dtype=np.float32),
+        width_m=np.full((n_episodes, 2), 1.8, dtype=np.float32),
         driver=np.tile(np.array(["", "planner"]), (n_episodes, 1)),
         position_m=np.stack([direction * (s - CORRIDOR_M / 2), direction * _offset(s)], -1).astype(np.float32),
         yaw_rad=(np.arctan(slope) + np.array([0, np.pi])).astype(np.float32),
@@ -169,8 +168,7 @@ def traces() -> list[Trace]:
 
 @pytest.fixture(scope="session")
 def table(traces: list[Trace]) -> pd.DataFrame:
-    vehicle = VehicleConfig(length_m=4.5, width_m=1.8)
-    rows = [episodes(Drives(trace, vehicle, 8.0, 6.0)) for trace in traces]
+    rows = [episodes(Drives(trace, 8.0, 6.0)) for trace in traces]
     return pd.concat(rows, ignore_index=True)
 
 

@@ -262,7 +262,7 @@ def test_planners_must_have_driven_the_same_tasks(run: RecordedRun) -> None:
 
 def test_the_scene_is_the_road(run: RecordedRun) -> None:
     config = Config().scenario
-    scene = scene_of(config.vehicle, build_road(config), 1, 6.0)
+    scene = scene_of(build_road(config), 1, 6.0)
     sigma, x, y, heading = scene.line_m.T
     assert (x == sigma).all()
     assert not y.any()

@@ -12,10 +12,9 @@ from torch import Tensor
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.collisions import GRAZE_M, CollisionCheck
-from negopipe.simulation.geometry import boxes_from_pose, overlap_depth
+from negopipe.simulation.geometry import Size, boxes_from_pose, overlap_depth
 from negopipe.simulation.one_street import OneStreet
 from negopipe.simulation.perception import other_columns
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.state import EGO, VehicleState, World
 from negopipe.tensors.tree import map_tensors
 
@@ -24,6 +23,7 @@ COARSE = {
     for dt in (1.0, 2.0)
 }
 DENSE = 2000
+CAR = Size(4.5, 1.8)
 
 
 @pytest.mark.parametrize(
@@ -40,9 +40,7 @@ def test_nobody_passes_through_anybody(overrides: list[str]) -> None:
         before = world.has_collided
         world, _ = game.drive(world, blind)
         is_new = world.has_collided & ~before
-        has_met |= is_new & game.simulator.collisions.touches(
-            world.vehicles, world.task.direction
-        )  # the record shows them where they met
+        has_met |= is_new & game.simulator.touches(world)  # the record shows them where they met
     assert has_met.all()
 
 
@@ -67,7 +65,7 @@ def random_motion(generator: torch.Generator, n: int, dt_s: float) -> tuple[Vehi
     return before, vehicles(x + chord * mid.cos(), y + chord * mid.sin(), yaw + turn, speed)
 
 
-def deepest(before: VehicleState, after: VehicleState, dt_s: float, size: VehicleConfig) -> Tensor:
+def deepest(before: VehicleState, after: VehicleState, dt_s: float, size: Size) -> Tensor:
     """[E] m: deepest overlap of the two vehicles on their cubics, tried out at many moments; the first one left out."""
     t = torch.linspace(0, 1, DENSE + 1)[1:]
     boxes = []
@@ -77,18 +75,18 @@ def deepest(before: VehicleState, after: VehicleState, dt_s: float, size: Vehicl
         place = a.position[..., None] + (b.position - a.position)[..., None] * (3 * t**2 - 2 * t**3)
         place = place + velocity[0][..., None] * t * (1 - t) ** 2 + velocity[1][..., None] * t**2 * (t - 1)
         yaw = a.yaw[:, None] + t * (b.yaw - a.yaw)[:, None]
-        boxes.append(boxes_from_pose(place[:, 0], place[:, 1], yaw, size.length_m, size.width_m))
+        boxes.append(boxes_from_pose(place[:, 0], place[:, 1], yaw, *size))
     return overlap_depth(*boxes).amax(-1)
 
 
 @pytest.mark.parametrize("dt_s", [0.2, 1.0])
 def test_contacts_agree_with_trying_out(config: RunConfig, dt_s: float) -> None:
-    size, wide = VehicleConfig(1.2, 0.5), OneStreet(replace(config.scenario.road, width_m=200.0).street)
-    check = CollisionCheck(wide, size, dt_s, other_columns(2))
+    size, wide = Size(1.2, 0.5), OneStreet(replace(config.scenario.road, width_m=200.0).street)
+    check = CollisionCheck(wide, dt_s, other_columns(2))
     before, after = random_motion(torch.Generator().manual_seed(3), 3000, dt_s)
-    is_apart = ~check.touches(before, along(before)).any(-1)
+    is_apart = ~check.touches(before, along(before), size).any(-1)
     before, after = (map_tensors(lambda field: field[is_apart], state) for state in (before, after))
-    found = check.first_contact(before, after, along(before)).isfinite()
+    found = check.first_contact(before, after, along(before), size).isfinite()
     depth = deepest(before, after, dt_s, size)
     assert torch.equal(found[:, 0], found[:, 1])
     turned = (after.yaw - before.yaw).abs().amax(-1)
@@ -96,7 +94,7 @@ def test_contacts_agree_with_trying_out(config: RunConfig, dt_s: float) -> None:
     graze = 2 * (GRAZE_M + math.hypot(1.2, 0.5) / 2 * turned / n_pieces / 2)  # of both footprints
     assert not found[depth <= 0].any()
     assert found[depth > 2 * graze].all()
-    is_between = found.any(-1) & ~check.touches(after, along(after)).any(-1)
+    is_between = found.any(-1) & ~check.touches(after, along(after), size).any(-1)
     assert is_between.sum() > 10  # seen on the way only
 
 
@@ -107,24 +105,24 @@ def test_contact_time_by_hand(config: RunConfig, game: Game) -> None:
         torch.tensor([[-40.0, -30.0]]), still, torch.tensor([[0.0, math.pi]]), torch.tensor([[50.0, 0.0]])
     )
     after = replace(before, position=before.position + torch.tensor([[[10.0, 0.0], [0.0, 0.0]]]))
-    share = check.first_contact(before, after, along(before))
+    share = check.first_contact(before, after, along(before), CAR)
     torch.testing.assert_close(share, torch.ones(1, 2))  # they overlap at the end, too
     farther = replace(after, position=after.position + torch.tensor([[[20.0, 0.0], [0.0, 0.0]]]))
     fast = replace(before, speed=torch.tensor([[150.0, 0.0]]))
-    share = check.first_contact(fast, replace(farther, speed=fast.speed), along(fast))
+    share = check.first_contact(fast, replace(farther, speed=fast.speed), along(fast), CAR)
     torch.testing.assert_close(share, torch.full((1, 2), 5.5 / 30), atol=2e-3, rtol=0)  # 4.5 m long, 10 m apart
     beside = replace(farther, position=farther.position + torch.tensor([[[0.0, 1.9], [0.0, 0.0]]]))
     passing = replace(fast, position=fast.position + torch.tensor([[[0.0, 1.9], [0.0, 0.0]]]))
-    assert check.first_contact(passing, replace(beside, speed=fast.speed), along(passing)).isinf().all()
+    assert check.first_contact(passing, replace(beside, speed=fast.speed), along(passing), CAR).isinf().all()
 
 
 def test_a_kerb_is_met_between_two_steps(game: Game) -> None:
-    check = CollisionCheck(game.simulator.road, VehicleConfig(4.5, 1.8), 2.0, other_columns(2))
+    check = CollisionCheck(game.simulator.road, 2.0, other_columns(2))
     x, there = torch.tensor([[-40.0, 30.0]]), torch.tensor([[-30.0, 30.0]])
     y, yaw, speed = torch.full((1, 2), -2.5), torch.tensor([[-0.4, math.pi]]), torch.tensor([[5.0, 0.0]])
     before, after = vehicles(x, y, 0 * yaw, speed), vehicles(there, y, 0 * yaw, speed)
-    assert check.first_contact(before, after, along(before)).isinf().all()
-    bulging = check.first_contact(vehicles(x, y, yaw, speed), vehicles(there, y, -yaw, speed), along(before))
+    assert check.first_contact(before, after, along(before), CAR).isinf().all()
+    bulging = check.first_contact(vehicles(x, y, yaw, speed), vehicles(there, y, -yaw, speed), along(before), CAR)
     assert bulging.isfinite().tolist() == [[True, False]]
 
 

@@ -8,13 +8,14 @@ from games import draw_tasks, place
 
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game, build_game
+from negopipe.simulation.build_road import build_road
 from negopipe.simulation.geometry import wrap_angle
 from negopipe.simulation.perception import PerceptionConfig, Sensor
 from negopipe.simulation.state import EGO, VehicleState, World
 from negopipe.tensors.tree import map_tensors
 
-PERFECT = PerceptionConfig(0.0, 0.0, 0.0, 0.0, None, 0.0, 0.4, None)
-NOISY = PerceptionConfig(0.1, 0.02, 0.2, 0.1, 60.0, 0.4, 0.4, None)
+PERFECT = PerceptionConfig(0.0, 0.0, 0.0, 0.0, None, 0.0, 0.4, None, False)
+NOISY = PerceptionConfig(0.1, 0.02, 0.2, 0.1, 60.0, 0.4, 0.4, None, False)
 
 
 def seen_by(config: RunConfig, perception: PerceptionConfig) -> Game:
@@ -206,7 +207,7 @@ def test_grids_and_list_err_alike(config: RunConfig) -> None:
 
 @pytest.mark.slow
 def test_compiled_sees_the_same(config: RunConfig) -> None:
-    sensor = Sensor(NOISY, config.scenario.dt_s, history_steps=15)
+    sensor = Sensor(NOISY, build_road(config.scenario), config.scenario.dt_s, history_steps=15)
     game = seen_by(config, NOISY)
     world = drive(game, game.simulator.reset(draw_tasks(config, 8)), 5)[-1]
     a, b = sensor.perceive(world), torch.compile(sensor.perceive, dynamic=False)(world)

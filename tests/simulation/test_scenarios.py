@@ -30,7 +30,7 @@ def test_nobody_starts_in_a_collision(built: tuple[RunConfig, Game]) -> None:
     config, game = built
     sampler = TaskSampler(config.scenario, config.scenario.families, torch.Generator().manual_seed(0))
     world = game.simulator.reset(sampler.draw(64))
-    assert not game.simulator.collisions.touches(world.vehicles, world.task.direction).any()
+    assert not game.simulator.touches(world).any()
     torch.testing.assert_close(world.vehicles.speed, world.task.start_speed)
     s = game.simulator.road.progress(world.vehicles.position, world.task.direction)
     torch.testing.assert_close(-s, world.task.start_distance, atol=1e-4, rtol=0)

@@ -33,7 +33,7 @@ def test_reset_places_vehicles_in_their_lanes(config: RunConfig, game: Game) -> 
     lane = torch.full_like(distance, -config.scenario.road.lane_offset_m) * task.direction
     torch.testing.assert_close(world.vehicles.position[..., 1], lane, atol=0.02, rtol=0)
     torch.testing.assert_close(world.vehicles.speed, task.start_speed)
-    assert not game.simulator.collisions.touches(world.vehicles, world.task.direction).any()
+    assert not game.simulator.touches(world).any()
     expected = world.pose_history[:, :1].expand_as(world.pose_history)
     torch.testing.assert_close(world.pose_history, expected)
 

@@ -87,7 +87,7 @@ def test_the_simulator_agrees(config: RunConfig, scenario: str, swerve_m: float)
     for start_m in (0.01, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0):
         family = replace(composed.families["push"], start_distance_m=(start_m, start_m))
         task = TaskSampler(composed, {"push": family}, torch.Generator()).draw(1)
-        is_lost = bool(simulator.collisions.touches(simulator.reset(task).vehicles, task.direction).any())
+        is_lost = bool(simulator.touches(simulator.reset(task)).any())
         assert is_refused(composed, family) == is_lost, start_m
 
 

@@ -219,7 +219,7 @@ def test_the_oncoming_vehicle_meets_the_same_places_the_other_way_round(chicane:
             < passage.leaving[way, 1]
         )
     s, along = torch.tensor([6.0, 30.0, 58.0]), torch.ones(3)  # in the first, on the way to the second, in it
-    assert passage.at(passage.their_waiting, s, along).tolist() == passage.waiting[1, [1, 0, 0]].tolist()
+    assert passage.their_waiting_s(s, along, 4.5).tolist() == passage.waiting[1, [1, 0, 0]].tolist()
 
 
 def test_both_get_through_both(chicane: tuple[RunConfig, Game]) -> None:

@@ -23,8 +23,8 @@ from negopipe.tensors.tree import map_tensors, tensors
 from negopipe.tracking.checkpoint import load_checkpoint, save_checkpoint
 
 TRACKER = TrackerConfig(1.0, 2.0, 0.05)
-TRACKED = PerceptionConfig(0.1, 0.02, 0.2, 0.02, 60.0, 0.2, 0.4, TRACKER)
-EXACT = PerceptionConfig(0.0, 0.0, 0.0, 0.0, None, 0.0, 0.4, TRACKER)
+TRACKED = PerceptionConfig(0.1, 0.02, 0.2, 0.02, 60.0, 0.2, 0.4, TRACKER, False)
+EXACT = PerceptionConfig(0.0, 0.0, 0.0, 0.0, None, 0.0, 0.4, TRACKER, False)
 VARIANCES = (0.01, 0.0004, 0.04)
 DT_S = 0.2
 

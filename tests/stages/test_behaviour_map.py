@@ -65,7 +65,7 @@ def test_rows_agree_with_the_drives(ran: RecordedRun) -> None:
             assert row[name] == pytest.approx(again[name].mean(), nan_ok=True), name
         first = again.loc[again["passes_first"] != "none", "passes_first"]
         assert row["ego_passes_first_rate"] == pytest.approx((first == "ego").mean(), nan_ok=True)
-        assert row["smallest_gap_m"] == pytest.approx(smallest_gap(footprints(trace, config.scenario.vehicle)).mean())
+        assert row["smallest_gap_m"] == pytest.approx(smallest_gap(footprints(trace)).mean())
         assert row["full_braking_rate"] == trace.is_full_braking[:, :, 0].sum() / trace.n_steps.sum()
         assert row["n_episodes"] == 2
     assert table["success_rate"].any()

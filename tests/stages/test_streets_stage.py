@@ -58,7 +58,7 @@ def test_waiting_places_lie_on_the_routes_before_the_corridor(figures: dict[str,
     (places,) = [line for line in axis.lines if line.get_marker() == "o"]
     x, y = np.asarray(places.get_xdata()), np.asarray(places.get_ydata())
     assert len(x) == 2  # one of each way
-    scene = scene_of(game.simulator.scenario.vehicle, road, 1, 0.0)
+    scene = scene_of(road, 1, 0.0)
     half_m = float(road.corridor_m(road.ways[0])) / 2
     assert x[0] < -half_m * 0.9 < half_m * 0.9 < x[1]  # the ego comes from the left
     near = np.hypot(*(scene.line_m[:, 1:3, None] - np.stack([x, y])).transpose(1, 0, 2)).min(0)

@@ -31,20 +31,19 @@ class Config(RouteFollowingConfig):
     margin_s: NonNegativeFloat
 
     def hindrance(self, simulator: Simulator) -> Callable[[Perception, Encounter], Hindrance]:
-        length_m = simulator.scenario.vehicle.length_m
         lines = StopLines(simulator, self.stop_s_m, self.gap_m)
 
         def hindered(perception: Perception, met: Encounter) -> Hindrance:
-            must_wait = self.must_wait(met, perception.desired_speed, length_m)
+            must_wait = self.must_wait(met, perception.desired_speed)
             line = lines.hindrance(met, must_wait, perception.direction)
-            return nearest(line, nose_to_nose(met, length_m))
+            return nearest(line, nose_to_nose(met))
 
         return hindered
 
-    def must_wait(self, met: Encounter, desired_speed: Tensor, length_m: float) -> Tensor:
+    def must_wait(self, met: Encounter, desired_speed: Tensor) -> Tensor:
         """[E, S] bool: another vehicle could enter the narrow place before the agent has left it."""
-        own_s = time_to(met.narrow_m + length_m / 2, met.own_s, (met.own.s_dot + desired_speed) / 2)
-        other_s = time_to(-length_m / 2, met.other_s, met.other_speed)
+        own_s = time_to(met.narrow_m + met.own_m[..., 0] / 2, met.own_s, (met.own.s_dot + desired_speed) / 2)
+        other_s = time_to(-met.other_m / 2, met.other_s, met.other_speed)
         return (met.is_oncoming & (other_s < own_s[..., None] + self.margin_s)).any(-1)
 
 

@@ -33,16 +33,14 @@ class Config(RouteFollowingConfig):
     stop_s_m: Real
 
     def hindrance(self, simulator: Simulator) -> Callable[[Perception, Encounter], Hindrance]:
-        road, length_m = simulator.road, simulator.scenario.vehicle.length_m
+        road = simulator.road
         first = torch.tensor([self.first_way(cars) for cars in road.parked_on_line], device=road.device)
         lines = StopLines(simulator, self.stop_s_m, self.gap_m)
 
         def hindered(perception: Perception, met: Encounter) -> Hindrance:
-            must_wait = (road.sign(perception.direction) != road.pick(first, perception.direction)) & _is_met(
-                met, length_m
-            )
+            must_wait = (road.sign(perception.direction) != road.pick(first, perception.direction)) & _is_met(met)
             line = lines.hindrance(met, must_wait, perception.direction)
-            return nearest(line, nose_to_nose(met, length_m))
+            return nearest(line, nose_to_nose(met))
 
         return hindered
 
@@ -52,7 +50,7 @@ class Config(RouteFollowingConfig):
         return -1.0 if self.first == "against" or (self.first == "free_side" and is_left_free) else 1.0
 
 
-def _is_met(met: Encounter, length_m: float) -> Tensor:
+def _is_met(met: Encounter) -> Tensor:
     """[E, S] bool: an oncoming vehicle has not passed yet and does not stand before its mouth of the corridor."""
-    stands_aside = (met.other_speed.abs() < AT_REST_MPS) & (met.other_s < -length_m / 2)
+    stands_aside = (met.other_speed.abs() < AT_REST_MPS) & (met.other_s < -met.other_m / 2)
     return (met.is_oncoming & ~stands_aside).any(-1)

@@ -29,10 +29,10 @@ class Config(HorizonRule):
         return {"waiting_horizon_s": (self.waiting_horizon_s,), "going_horizon_s": (self.going_horizon_s,)}
 
     def choose(self, simulator: Simulator) -> ChooseHorizon:
-        road, length_m = simulator.road, simulator.scenario.vehicle.length_m
+        road = simulator.road
 
         def by_distance(perception: Perception) -> Tensor:
-            met = encounter(road, length_m, perception)
+            met = encounter(road, perception)
             is_nearer = met.other_s >= met.own_s[..., None]  # at equal distances both wait
             must_wait = (met.is_oncoming & is_nearer).any(-1)
             return torch.where(must_wait, self.waiting_horizon_s, self.going_horizon_s)

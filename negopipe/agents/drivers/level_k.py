@@ -87,7 +87,9 @@ class LevelK:
         """
         n = len(self.horizons)
         now = map_tensors(lambda a, b: torch.cat([a, b], 1), perception.own, _of_others(perception))
-        world = imagined(self.game, now, _directions(self.game, perception), perception.desired_speed)
+        world = imagined(
+            self.game, now, _directions(self.game, perception), perception.desired_speed, _sizes(perception)
+        )
         world = map_tensors(lambda field: field.repeat_interleave(n * n, 0), world)
         pairs = torch.cartesian_prod(self.horizons, self.horizons).repeat(len(now.speed), 1)
         horizon = torch.cat([pairs[:, :1], pairs[:, 1:].expand(-1, now.speed.shape[1] - 1)], 1)
@@ -118,11 +120,12 @@ class LevelK:
         then = VehicleState(
             pose[:, past, :, :2], pose[:, past, :, 2], speed[:, past], accel[:, past], 0 * accel[:, past]
         )
-        direction, desired_speed = (
+        direction, desired_speed, *size = (
             field[:, None].expand(-1, n, -1).flatten(0, 1)
-            for field in (_directions(self.game, perception), perception.desired_speed)
+            for field in (_directions(self.game, perception), perception.desired_speed, *_sizes(perception))
         )
-        world = imagined(self.game, map_tensors(lambda field: field.flatten(0, 1), then), direction, desired_speed)
+        then = map_tensors(lambda field: field.flatten(0, 1), then)
+        world = imagined(self.game, then, direction, desired_speed, (size[0], size[1]))
         agent = self.game.perceive(map_tensors(lambda field: field.repeat_interleave(n_horizons, 0), world)).of(EGO + 1)
         wanted = self.game.plan(agent, self.horizons.repeat(len(direction))[:, None]).state.speed
         error = wanted.reshape(-1, n, n_horizons) - speed[:, :n, EGO + 1, None]
@@ -170,15 +173,18 @@ def _play(own: Tensor, other: Tensor, belief: Tensor, level: int) -> Tensor:
     return torch.nn.functional.one_hot(best, own.shape[2]).to(own.dtype)
 
 
-def imagined(game: "Game", vehicles: VehicleState, direction: Tensor, desired_speed: Tensor) -> World:
+def imagined(
+    game: "Game", vehicles: VehicleState, direction: Tensor, desired_speed: Tensor, size: tuple[Tensor, Tensor]
+) -> World:
     """Worlds as one vehicle assumes them: the others have the same desired speed, and no vehicle has a past.
 
     vehicles: VehicleState [E, V]; direction: [E, V]; desired_speed: [E, 1], m/s
+    size: lengths and widths, [E, V] each, m
     """
     unknown = torch.zeros_like(direction)
     never, no = torch.full_like(direction, torch.inf), torch.zeros_like(direction[:, 0], dtype=torch.int64)
     wanted, nobody = desired_speed.expand_as(direction), Casting.of_nobody(direction)
-    task = Task(unknown, wanted, wanted, unknown, unknown, never, never, direction, no, no, nobody)
+    task = Task(unknown, wanted, wanted, unknown, unknown, never, never, direction, no, no, *size, nobody)
     return game.simulator.place(game.simulator.reset(task), vehicles)
 
 
@@ -188,6 +194,14 @@ def _of_others(perception: Perception) -> VehicleState:
     away = torch.stack([perception.own.yaw.cos(), perception.own.yaw.sin()], -1)
     behind = (perception.own.position - BEHIND_M * away).expand_as(other.position)
     return replace(other, position=torch.where(perception.is_seen[:, 0, :, None], other.position, behind))
+
+
+def _sizes(perception: Perception) -> tuple[Tensor, Tensor]:
+    """Lengths and widths of the ego and of the others, [E, V] each, m."""
+    return (
+        torch.cat([perception.length, perception.other_length[:, 0]], 1),
+        torch.cat([perception.width, perception.other_width[:, 0]], 1),
+    )
 
 
 def _directions(game: "Game", perception: Perception) -> Tensor:
