@@ -12,7 +12,7 @@ from negopipe.config.root import RunConfig, check_components
 from negopipe.errors import UserError
 
 ALL = ["curriculum=demonstrations", "stages=[train,evaluate,behaviour_map,oracle,benchmark]"]
-ALL += ["scenario.road.parked_car_length_m=1.0"]
+ALL += ["scenario.road.parked_car_length_m=1.0", "scenario.n_followers=1"]
 LATE = ["perception.delay_s=0.4", "perception.accel_window_s=5.0", "algorithm.minibatch_size=4096"]
 OBJECTS = ["observation=objects", "policy=objects", "policy.own_widths=[64,32]"]
 OBJECTS += ["algorithm.kfac.max_factor_size=100", "algorithm.kfac.n_patches=260"]
