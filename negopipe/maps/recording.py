@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 from xml.etree import ElementTree
 
 import numpy as np
@@ -45,10 +46,16 @@ class Trajectory:
 
 
 def write_commonroad(
-    path: Path, street: MapStreet, trajectories: Sequence[Trajectory], dt_s: float, benchmark_id: str, author: str
+    to: Path | BinaryIO,
+    street: MapStreet,
+    trajectories: Sequence[Trajectory],
+    dt_s: float,
+    benchmark_id: str,
+    author: str,
 ) -> None:
     """Write a drive as a CommonRoad scenario: both lanelets, parked vehicles, one dynamic obstacle per trajectory.
 
+    to              the file, which is written anew
     dt_s            time from one step to the next
     benchmark_id    e.g. ZAM_Karlsruhe-1_1_T-1: country (ZAM for none), map, its number, configuration, T, number
 
@@ -79,7 +86,7 @@ def write_commonroad(
     if trajectories:
         _add_planning_problem(root, FIRST_VEHICLE + len(street.parked) + len(trajectories), trajectories[0])
     ElementTree.indent(root)
-    ElementTree.ElementTree(root).write(path, encoding="UTF-8", xml_declaration=True)
+    ElementTree.ElementTree(root).write(to, encoding="UTF-8", xml_declaration=True)
 
 
 def read_trajectories(path: Path) -> tuple[float, list[Trajectory]]:

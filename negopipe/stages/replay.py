@@ -10,6 +10,7 @@ import pandas as pd
 from negopipe.errors import UserError
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.horizon_text import from_text
+from negopipe.evaluation.recorded_drive import commonroad_scenario
 from negopipe.evaluation.replay import PolicyTrace, record_policy, replay
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
 from negopipe.game.game import Game
@@ -43,7 +44,7 @@ class EpisodeId(NamedTuple):
 
 
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
-    """Drive `episode` again; writes replays/<setting>_<planner>_<number>.gif and a still, .png.
+    """Drive `episode` again; writes replays/<setting>_<planner>_<number>.gif, a still, .png, and the drive, .xml.
 
     Raises UserError if it was not evaluated in this run, or if its replay differs from the evaluation.
     """
@@ -63,6 +64,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     files = {
         "gif": animation.animate([trace], 0, scene, config.report.animation_fps, fixed_s, policy_trace),
         "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, fixed_s, policy_trace),
+        "xml": commonroad_scenario(game.simulator.road, trace, 0),
     }
     for suffix, data in files.items():
         path = folder / f"{name}.{suffix}"
