@@ -39,8 +39,9 @@ KERB_PIECE_S = 0.1
 GRAZE_M = 0.01
 """Depth of an overlap that counts as a graze, m: at 8 m/s2 the line of a piece and the cubic are half as far apart."""
 
-PASSING_M = 0.3
-"""Room on either side of a vehicle that passes another, m."""
+PASSING_M = 0.45
+"""Room on either side of a vehicle that passes another, m. With 0.3 m nobody who plans can pass one that waits on the
+street one_sided (docs/planner.md)."""
 
 
 class _Poses(NamedTuple):

@@ -21,6 +21,8 @@ from negopipe.errors import UserError
 ROOT = Path(__file__).parents[2]
 OF_A_MAP = {"lanelet2", "commonroad"}
 """Scenarios that need a file, see tests/simulation/test_map_road.py."""
+OBJECTS = ["observation=objects", "policy=objects"]
+"""Each of them fits the other only."""
 OPTIONS = sorted(
     path.relative_to(CONF).with_suffix("") for path in CONF.glob("*/**/*.yaml") if path.stem not in OF_A_MAP
 )
@@ -46,7 +48,8 @@ def test_every_option_composes_and_builds(option: Path) -> None:
     plus = "+" if option.parts[0] == "experiment" else ""
     beside = ["report.side_by_side=[]"] if option.parent.name == "baseline" else []
     beside += ["planner=consistent_stops"] if option.name.endswith("_inf") else []
-    build(f"{plus}{option.parent}={option.name}", *beside)
+    beside += OBJECTS if option.name == "objects" else []
+    build(*beside, f"{plus}{option.parent}={option.name}")
 
 
 @pytest.mark.parametrize("words", job_commands(), ids=" ".join)

@@ -73,5 +73,5 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
 def test_a_file_of_another_format_names_the_stage_that_writes_it_anew(tmp_path: Path) -> None:
     with (tmp_path / "traces.npz").open("wb") as file:
         np.savez(file, format=np.array("negopipe traces 1"), n_traces=np.array(0))
-    with pytest.raises(UserError, match="format 'negopipe traces 3'; run the stage `evaluate` anew"):
+    with pytest.raises(UserError, match="format 'negopipe traces 4'; run the stage `evaluate` anew"):
         load_traces(tmp_path / "traces.npz")

@@ -39,13 +39,13 @@ def rule_of(game: Game, world: World) -> tuple[Tensor, Tensor]:
 
 def test_the_others_times_are_those_of_its_fastest_and_of_its_present_speed(narrow: tuple[RunConfig, Game]) -> None:
     config, game = narrow
-    world = meet(config, game, [[-30.0, -28.75], [-30.0, -28.75], [-30.0, 0.0], [-30.0, 21.0]],
+    world = meet(config, game, [[-30.0, -29.0], [-30.0, -29.0], [-30.0, 0.0], [-30.0, 21.25]],
                  [[5.0, 7.0], [5.0, 0.0], [5.0, 3.0], [5.0, 3.0]])  # fmt: skip
     earliest, latest = rule_of(game, world)
     # 20 m to the passage at 7 m/s; or from rest, 7^2 / 4.8 = 10.2 m of gaining speed in 2.92 s; inside; out
     expected = [20 / 7, 7 / 2.4 + (20 - 49 / 4.8) / 7, 0.0]
     assert earliest[:3].tolist() == pytest.approx(expected, abs=1e-3)
-    assert latest[[0, 2]].tolist() == pytest.approx([(20.75 + 28.75) / 7, 20.75 / 3], abs=1e-3)
+    assert latest[[0, 2]].tolist() == pytest.approx([(21.0 + 29.0) / 7, 21.0 / 3], abs=1e-3)
     assert float(latest[1]) > 1e5  # who stands may stand for ever
     assert float(earliest[3]) > 1e5
     assert float(latest[3]) < -1e5

@@ -13,7 +13,7 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, World
 
-WAITING, LEAVING = -8.75, 20.75
+WAITING, LEAVING = -9.0, 21.0
 """s of the last place before and of the first behind the passage of narrow_lane, m."""
 
 

@@ -206,7 +206,7 @@ def test_everyone_heeds_the_next_narrow_place(chicane: tuple[RunConfig, Game]) -
 
 
 def test_the_oncoming_vehicle_meets_the_same_places_the_other_way_round(chicane: tuple[RunConfig, Game]) -> None:
-    passage = Passage.of(chicane[1].simulator.collisions)
+    passage = Passage.of(chicane[1].simulator.collisions, chicane[1].simulator.sizes)
     for way, oncoming in ((0, 1), (1, 0)):
         assert torch.equal(passage.their_waiting[way], passage.waiting[oncoming].flip(0))
         assert torch.equal(passage.their_leaving[way], passage.leaving[oncoming].flip(0))
