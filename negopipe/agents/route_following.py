@@ -13,11 +13,12 @@ from torch import Tensor
 from negopipe.agents.driver_config import MotionRule
 from negopipe.agents.encounter import Encounter, encounter
 from negopipe.schema import NonNegativeMetres, PositiveFloat, schema
+from negopipe.simulation.collisions import PASSING_M
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.simulator import Simulator
 from negopipe.simulation.state import Motion
-from negopipe.simulation.waiting_place import waiting_places
+from negopipe.simulation.waiting_place import ROOM_M, waiting_places
 from negopipe.tensors.tree import map_tensors
 
 FREE_M = 1e3
@@ -99,8 +100,8 @@ def on_route(simulator: Simulator, perception: Perception, met: Encounter) -> Hi
     direction = perception.direction.flatten()[:, None]
     size = sizes.of(perception.other_length.flatten(0, 1), perception.other_width.flatten(0, 1))
     own = sizes.of(perception.length.flatten()[:, None], perception.width.flatten()[:, None])
-    stands_on_route = simulator.collisions.stands_on_route(others, size, direction, own).reshape(shape)
-    in_the_way = met.is_oncoming & stands_on_route & (met.apart_m > 0)
+    stands_on_route = simulator.collisions.stands_on_route(others, size, direction, own, PASSING_M)
+    in_the_way = met.is_oncoming & stands_on_route.reshape(shape) & (met.apart_m > 0)
     on_it = _nearest_of(met, in_the_way, met.apart_m - met.touch_m, met.other_speed)
     return nearest(on_it, nose_to_nose(met))
 
@@ -119,7 +120,8 @@ class StopLines:
         self._ends = simulator.road.narrow_places[..., 1]
         self._sizes = simulator.sizes
         self._wanted, self._latest = (
-            waiting_places(simulator.collisions, self._sizes, latest_m) for latest_m in (stop_s_m, 0.0)
+            waiting_places(simulator.collisions, self._sizes, latest_m, room_m)
+            for latest_m, room_m in ((stop_s_m, ROOM_M), (0.0, PASSING_M))
         )
 
     def hindrance(self, met: Encounter, must_wait: Tensor, direction: Tensor) -> Hindrance:

@@ -14,7 +14,7 @@ from negopipe.planner.polynomial import evaluate, quintic
 from negopipe.planner.roadside import Roadside
 from negopipe.planner.situation import Others, Situation
 from negopipe.schema import NonNegativeFloat, NonNegativeMetres, PositiveFloat, PositiveMetres, schema
-from negopipe.simulation.collisions import CollisionCheck
+from negopipe.simulation.collisions import PASSING_M, CollisionCheck
 from negopipe.simulation.geometry import Size
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.waiting_place import Passage
@@ -87,7 +87,7 @@ class Reversing:
         comes = others.is_oncoming & (others.s > route.s) & ~makes_way
         standing = map_tensors(lambda field: field[:, None], self.road.to_world(route, direction))
         stands = self._collisions.stands_on_route(
-            standing, _column(now.size), -direction[:, None], _largest(others, comes)
+            standing, _column(now.size), -direction[:, None], _largest(others, comes), PASSING_M
         )
         return comes.any(0) & stands[:, 0]
 

@@ -15,7 +15,7 @@ from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.perception import other_columns
 from negopipe.simulation.road import Road
 from negopipe.simulation.scenario import ScenarioConfig
-from negopipe.simulation.waiting_place import waiting_places
+from negopipe.simulation.waiting_place import ROOM_M, waiting_places
 
 N_COLUMNS = 2
 AROUND_M = 8.0
@@ -42,7 +42,7 @@ def street_maps(scenario: ScenarioConfig, road: Road, n: int) -> dict[str, Figur
     parts = {"streets_training": scenario.training_streets, "streets_held_out": scenario.held_out_streets}
     if scenario.training_streets == scenario.held_out_streets:
         parts = {"streets": scenario.held_out_streets}
-    waiting_s = waiting_places(collisions, scenario.sizes, 0.0).unflatten(0, (-1, 2)).cpu().numpy()
+    waiting_s = waiting_places(collisions, scenario.sizes, 0.0, ROOM_M).unflatten(0, (-1, 2)).cpu().numpy()
     return {
         name: gallery([_street_map(scenario, road, street, waiting_s[street - 1]) for street in part[:n]])
         for name, part in parts.items()

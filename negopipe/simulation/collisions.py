@@ -39,9 +39,8 @@ KERB_PIECE_S = 0.1
 GRAZE_M = 0.01
 """Depth of an overlap that counts as a graze, m: at 8 m/s2 the line of a piece and the cubic are half as far apart."""
 
-PASSING_M = 0.45
-"""Room on either side of a vehicle that passes another, m. With 0.3 m nobody who plans can pass one that waits on the
-street one_sided (docs/planner.md)."""
+PASSING_M = 0.3
+"""Least room on either side of a vehicle that passes another, m."""
 
 
 class _Poses(NamedTuple):
@@ -103,10 +102,13 @@ class CollisionCheck:
         stopped = replace(after, position=torch.stack([x, y], -1), yaw=wrap_angle(yaw), speed=speed)
         return tree_where(share < 1, stopped, after)
 
-    def stands_on_route(self, vehicles: VehicleState, size: Size, direction: Tensor, passing: Size) -> Tensor:
+    def stands_on_route(
+        self, vehicles: VehicleState, size: Size, direction: Tensor, passing: Size, room_m: float
+    ) -> Tensor:
         """[E, S] bool: a vehicle that follows its route in `direction` [E, 1] cannot pass `vehicles` [E, S].
 
         size, passing: of the vehicles and of the one that passes, [E, S] or [E, 1], or floats
+        room_m: that it needs on either side
         """
         size, passing = _each(size), _each(passing)
         along = (size.length + passing.length) / 2 * self._along  # of all places at which the two can touch
@@ -115,7 +117,7 @@ class CollisionCheck:
         zero = torch.zeros_like(s)
         on_route = self.road.to_world(RouteState(s, zero, zero, *self.road.route_offset(s, direction)), direction)
         route = boxes_from_pose(on_route.position[..., 0], on_route.position[..., 1], on_route.yaw, *passing)
-        route = route._replace(half_width=route.half_width + PASSING_M)
+        route = route._replace(half_width=route.half_width + room_m)
         x, y, yaw = (field[..., None] for field in (*vehicles.position.unbind(-1), vehicles.yaw))
         standing = boxes_from_pose(x, y, yaw, *size)
         return (overlap_depth(route, standing) > 0).any(-1)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.build_road import build_road
-from negopipe.simulation.collisions import CollisionCheck
+from negopipe.simulation.collisions import PASSING_M, CollisionCheck
 from negopipe.simulation.dynamics import Dynamics
 from negopipe.simulation.geometry import Size
 from negopipe.simulation.perception import Sensor, other_columns
@@ -171,7 +171,7 @@ class Simulator:
         is_ahead = self.road.progress(wrecks.position, direction) > s[:, None]
         task = world.task
         size = self.sizes.of(task.length[:, EGO + 1 :], task.width[:, EGO + 1 :])
-        is_on_route = self.collisions.stands_on_route(wrecks, size, direction, self.sizes.ego)
+        is_on_route = self.collisions.stands_on_route(wrecks, size, direction, self.sizes.ego, PASSING_M)
         return (world.has_collided[:, EGO + 1 :] & is_ahead & is_on_route).any(-1)
 
 

@@ -15,6 +15,9 @@ FARTHEST_M = 50.0
 """Length of the search for a waiting place, before or behind a narrow place, m."""
 STEP_M = 0.25
 """Spacing of the places that are tried, m."""
+ROOM_M = 0.45
+"""Room that who waits leaves on either side of the vehicle that passes, m. With the least room nobody who plans gets
+past on the street one_sided (docs/planner.md)."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ class Passage:
 
     @staticmethod
     def of(collisions: CollisionCheck, sizes: Sizes) -> "Passage":
-        waiting, leaving = waiting_places(collisions, sizes, 0.0), _leaving_places(collisions, sizes)
+        waiting, leaving = waiting_places(collisions, sizes, 0.0, ROOM_M), _leaving_places(collisions, sizes)
         theirs = (collisions.road.seen_by_oncoming(each) for each in (waiting, leaving))
         return Passage(collisions.road, sizes, waiting, leaving, *theirs)
 
@@ -63,27 +66,29 @@ class Passage:
         return self.road.of_place(table, self.leaving, s, direction)
 
 
-def waiting_places(collisions: CollisionCheck, sizes: Sizes, latest_m: float) -> Tensor:
+def waiting_places(collisions: CollisionCheck, sizes: Sizes, latest_m: float, room_m: float) -> Tensor:
     """[2B, M] float32, m: s of the last places on the own route that the other can pass, by way and narrow place.
 
     They are places of the centre of a vehicle as long as the ego and as wide as the widest, which any other can pass.
     They lie `latest_m` at most behind the mouth of their narrow place. Where there is none within `FARTHEST_M`, it is
     -inf.
+
+    room_m: on either side of the vehicle that passes
     """
     mouths = collisions.road.narrow_places[..., 0]
     before = torch.arange(latest_m, -FARTHEST_M, -STEP_M, device=mouths.device)
     s = mouths[..., None] + before  # [2B, M, K]
-    return torch.where(_is_passable(collisions, sizes, s), s, -torch.inf).amax(-1)
+    return torch.where(_is_passable(collisions, sizes, s, room_m), s, -torch.inf).amax(-1)
 
 
 def _leaving_places(collisions: CollisionCheck, sizes: Sizes) -> Tensor:
     """[2B, M] float32, m: s of the first places behind the narrow places that the other can pass, inf without one."""
     ends = collisions.road.narrow_places[..., 1]
     s = ends[..., None] + torch.arange(0.0, FARTHEST_M, STEP_M, device=ends.device)
-    return torch.where(_is_passable(collisions, sizes, s), s, torch.inf).amin(-1)
+    return torch.where(_is_passable(collisions, sizes, s, ROOM_M), s, torch.inf).amin(-1)
 
 
-def _is_passable(collisions: CollisionCheck, sizes: Sizes, s: Tensor) -> Tensor:
+def _is_passable(collisions: CollisionCheck, sizes: Sizes, s: Tensor, room_m: float) -> Tensor:
     """[2B, M, K] bool: the other can pass a vehicle that stands on its route at s [2B, M, K]."""
     road, shape, s = collisions.road, s.shape, s.flatten()
     own = road.ways[:, None, None].expand(shape).flatten()
@@ -91,4 +96,5 @@ def _is_passable(collisions: CollisionCheck, sizes: Sizes, s: Tensor) -> Tensor:
     standing = road.to_world(RouteState(s, zero, zero, *road.route_offset(s, own)), own)
     waiting = map_tensors(lambda field: field[:, None], standing)
     size = Size(sizes.ego.length, sizes.largest.width)
-    return ~collisions.stands_on_route(waiting, size, -own[:, None], sizes.largest)[:, 0].reshape(shape)
+    is_closed = collisions.stands_on_route(waiting, size, -own[:, None], sizes.largest, room_m)
+    return ~is_closed[:, 0].reshape(shape)

@@ -22,7 +22,7 @@ from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.state import Task
-from negopipe.simulation.waiting_place import waiting_places
+from negopipe.simulation.waiting_place import ROOM_M, waiting_places
 
 TOGETHER = {"paper", "all"}
 """Options that stand for several."""
@@ -105,12 +105,12 @@ def test_cautious_waits_where_the_other_can_pass_and_goes_on_waiting(
 
 @pytest.mark.parametrize(
     ("scenario", "side", "waiting_m"),
-    [("narrow_lane", 1.0, -9.0), ("one_sided", 1.0, -10.25), ("one_sided", -1.0, -9.5)],
+    [("narrow_lane", 1.0, -9.0), ("one_sided", 1.0, -10.75), ("one_sided", -1.0, -10.0)],
 )
 def test_a_waiting_place_leaves_room_for_the_others_route(scenario: str, side: float, waiting_m: float) -> None:
     simulator = build_game(compose_config([f"scenario={scenario}"])).simulator
     early, latest = (
-        waiting_places(simulator.collisions, simulator.scenario.sizes, latest_m)[int(side < 0), 0]
+        waiting_places(simulator.collisions, simulator.scenario.sizes, latest_m, ROOM_M)[int(side < 0), 0]
         for latest_m in (-9.0, 0.0)
     )
     assert early == waiting_m
@@ -216,7 +216,7 @@ def test_time_to_a_place() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"stop_s_m": -6.0}, {"accel_mps2": 1.0}, {"decel_mps2": 0.5}, {"braking_max_mps2": 1.0},
+        {"stop_s_m": -11.0}, {"accel_mps2": 1.0}, {"decel_mps2": 0.5}, {"braking_max_mps2": 1.0},
         {"gap_m": 5.0}, {"headway_s": 3.0},
     ],
 )  # fmt: skip

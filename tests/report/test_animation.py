@@ -69,7 +69,7 @@ def test_vehicles_are_drawn_in_their_colours(traces: list[Trace], scene: Scene) 
     ego = (image == [int(ADAPTIVE_COLOR[i : i + 2], 16) for i in (1, 3, 5)]).all(-1)
     pixel_m = 2 * (np.abs(traces[0].position_m[0, 0, :, 0]).max() + 4) / image.shape[1]
     # the windscreen takes 16 % of the length and 80 % of the width
-    area_m2 = scene.vehicle_length_m * scene.vehicle_width_m * (1 - 0.16 * 0.8)
+    area_m2 = float(traces[0].length_m[0, 0] * traces[0].width_m[0, 0]) * (1 - 0.16 * 0.8)
     assert ego.sum() * pixel_m**2 == pytest.approx(area_m2, rel=0.15)
     assert np.flatnonzero(ego.any(0)).mean() < image.shape[1] / 2  # it comes from the left
 
@@ -84,7 +84,7 @@ def test_the_ribbon_is_as_long_as_the_prediction(traces: list[Trace], scene: Sce
     if horizon_s:
         assert outline[:, 0].min() < trace.position_m[5, 0, 1, 0] - 1  # ahead of a vehicle that comes towards us
         half = outline[outline[:, 0].argmin(), 1]
-        assert abs(half) <= 1.75 + scene.vehicle_width_m / 2  # on its route
+        assert abs(half) <= 1.75 + trace.width_m[0, 1] / 2  # on its route
     assert panel.ribbons[0].get_facecolor()[:3] == pytest.approx(
         [int(horizon_color(horizon_s)[i : i + 2], 16) / 255 for i in (1, 3, 5)]
     )
