@@ -16,12 +16,13 @@ The map, lowest first: a package imports only what stands above it here, and its
     agents        who drives: planners with horizons, drivers by rule, policies; the population of social drivers
     game          one decision, the reward, task distributions by stages, batched worlds for a learner
     tracking      a run's folder, checkpoints, CSV files, the store; sync: journal -> delivery -> MLflow
-    evaluation    held-out tasks driven and recorded: episodes, metrics, safety, statistics, claims of the paper, replay
+    evaluation    held-out tasks driven and recorded: episodes, metrics, safety, statistics, claims of the paper,
+                  replay, drives as CommonRoad scenarios
     search        the oracle: the best sequence of horizons, found with full knowledge of a task
     report        figures, films, tables, headlines, the page
     config        the root config: composed, checked, frozen
     runtime       how a process runs: device, compiler, threads, workers, interruption, which results are the same
-    training      Algorithm 1: the loop, its record, demonstrations, reuse
+    training      Algorithm 1: the loop, its record, the league, demonstrations, reuse
     benchmark     speed of simulator, planner and training, and what bounds it
     sweeping      a sweep's objective, Optuna search, the comparison of many runs
     stages        train, evaluate, report, replay, behaviour_map, oracle, streets, benchmark: functions of config, run
