@@ -1,5 +1,6 @@
 """Horizon choices of the ego: by the trained policy, or from a sequence that was found beforehand."""
 
+from collections.abc import Callable
 from itertools import count
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 ACTIONS = 0x5A17
 """Offset of the key from which actions are drawn, apart from the other draws of an episode."""
-BATCH = 64
+BATCHES = {"cpu": 64, "cuda": 4096}
 """Observations per call of the network; constant, since the last bits of its output may depend on the number."""
 
 
@@ -35,7 +36,7 @@ def adaptive_planner(
         decisions: it is made anew for each batch of episodes that start together, and they are driven in lockstep
     """
     horizons = torch.tensor(horizons_s, device=game.planner.times.device)
-    logits_of = ChunkedFunction(lambda observation: policy(observation)[0], BATCH, lambda fn: fn)
+    logits_of = in_batches(policy, horizons.device)
     decisions = count()
 
     @torch.no_grad()
@@ -45,6 +46,11 @@ def adaptive_planner(
         return horizons[action][:, None]
 
     return choose
+
+
+def in_batches(policy: ActorCritic, device: torch.device) -> Callable[[Tensor], Tensor]:
+    """Observations [E, *obs] -> logits [E, n_actions] of the policy, which may change between calls."""
+    return ChunkedFunction(lambda observation: policy(observation)[0], [BATCHES[device.type]], lambda fn: fn)
 
 
 def drawn_action(logits: Tensor, episode_key: Tensor, decision: Tensor | int) -> Tensor:

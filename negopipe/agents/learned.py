@@ -1,16 +1,15 @@
 """Policies on the other side: social vehicles whose prediction horizons a network chooses."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
-from negopipe.agents.horizon_drivers import BATCH, drawn_action
+from negopipe.agents.horizon_drivers import drawn_action, in_batches
 from negopipe.policy.actor_critic import ActorCritic, greedy_action
 from negopipe.simulation.state import World
-from negopipe.tensors.chunked import ChunkedFunction
 from negopipe.tensors.stateless_rng import mix
 from negopipe.tensors.tree import map_tensors
 
@@ -40,7 +39,7 @@ def with_policies(game: "Game", learned: Mapping[int, Learned]) -> "Game":
         return game
     device = game.planner.times.device
     tables = {index: torch.tensor(each.horizons_s, device=device) for index, each in learned.items()}
-    logits_of = {index: ChunkedFunction(_logits(each.policy), BATCH, lambda fn: fn) for index, each in learned.items()}
+    logits_of = {index: in_batches(each.policy, device) for index, each in learned.items()}
 
     @torch.no_grad()
     def choose(world: World, ego: Tensor) -> Tensor:
@@ -57,7 +56,3 @@ def with_policies(game: "Game", learned: Mapping[int, Learned]) -> "Game":
         return horizons
 
     return replace(game, choose=choose)
-
-
-def _logits(policy: ActorCritic) -> Callable[[Tensor], Tensor]:
-    return lambda observation: policy(observation)[0]

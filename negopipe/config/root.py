@@ -182,7 +182,7 @@ def _memory(config: RunConfig) -> Iterator[Memory]:
     """Memory estimates of the components."""
     scenario, observation, stages = config.scenario, config.observation, set(config.stages)
     dt_s, n_vehicles, n_actions = scenario.dt_s, scenario.n_vehicles, len(config.policy.horizons_s)
-    n_chunk, n_steps, observed = CHUNKS["cpu"], scenario.episode_steps, observation.observed
+    n_chunk, n_steps, observed = CHUNKS["cpu"][-1], scenario.episode_steps, observation.observed
     yield config.planner.memory(scenario, n_chunk)
     yield observation.memory(scenario.most_parked + n_vehicles, n_chunk)
     remembered = config.perception.memory_steps(dt_s, observation.history_steps(dt_s))

@@ -20,8 +20,9 @@ from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.simulator import Events, Simulator
 from negopipe.simulation.state import EGO, Motion, World
 from negopipe.tensors.chunked import ChunkedFunction
+from negopipe.tensors.cuda_graph import GraphedFunction
 
-CHUNKS = {"cpu": 64, "cuda": 1024}
+CHUNKS = {"cpu": [64], "cuda": [64, 512, 4096]}
 """Worlds per call: many enough to outweigh the cost of a call, on a CPU few enough to stay in the cache."""
 
 
@@ -88,7 +89,9 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     frenet = FrenetPlanner(config.planner, simulator.road, scenario.sizes, scenario.dt_s, device)
     cast = Cast(config.population, simulator)
     observation = build_observation(config.observation, simulator)
-    size = CHUNKS[torch.device(device).type]
+    kind = torch.device(device).type
+    compilers: dict[str, Callable[[Callable], Callable]] = {"cpu": _compile, "cuda": GraphedFunction}
+    compiler = compilers[kind] if is_compiled else None
 
     def plan(perception: Perception, horizon: Tensor) -> Motion:
         return cast.drive(perception, horizon, frenet.plan)
@@ -111,7 +114,7 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         return observation.draw(sensor.perceive(world).of_each(vehicle))
 
     def accelerate(fn: Callable) -> Callable:
-        return ChunkedFunction(fn, size, _compile if is_compiled else None)
+        return ChunkedFunction(fn, CHUNKS[kind], compiler)
 
     return Game(
         simulator=simulator,

@@ -115,6 +115,8 @@ class Objects:
         self.shape = config.shape
         self._stride = config.frame_stride(dt_s)
         self._street = StreetAhead(self.road, passage)
+        by = config.scales
+        self._scale = torch.tensor([by.width_m, by.width_m, by.curvature_1pm, 1.0, 1.0], device=self.road.device)
         self._points = torch.linspace(-config.behind_m, config.ahead_m, config.n_points, device=self.road.device)
 
     def draw(self, perception: Perception) -> Tensor:
@@ -240,9 +242,8 @@ class Objects:
         """[E, K, 1 + N_FEATURES]: points of the street, each with its distance ahead."""
         by = self.config.scales
         features = self._street.at(place.route.s[:, None] + self._points, place.direction[:, None])
-        scale = features.new_tensor([by.width_m, by.width_m, by.curvature_1pm, 1.0, 1.0])
         ahead = (self._points / by.distance_m).expand(len(features), -1)[..., None]
-        return torch.cat([ahead, features / scale], -1)
+        return torch.cat([ahead, features / self._scale], -1)
 
     @property
     def _n_past(self) -> int:

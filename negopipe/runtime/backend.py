@@ -44,7 +44,8 @@ def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
         n_threads=chosen["n_threads"] if config.n_threads == "auto" else config.n_threads,
     )
     _check(settled)
-    how = "compiled (the first step takes up to a minute)" if settled.compile == "on" else "not compiled"
+    made = "recorded as CUDA graphs" if settled.device == "cuda" else "compiled (the first step takes up to a minute)"
+    how = made if settled.compile == "on" else "not compiled"
     since = ", as when the run began" if kept else ""
     log.info(f"backend    {settled.device}, {settled.n_threads} threads, simulator {how}{since}")
     _warn_of_threads(int(settled.n_threads))
@@ -67,7 +68,7 @@ def prepare(config: "RunConfig") -> None:
     """Set up torch for a config without `auto`."""
     torch.set_num_threads(int(config.n_threads))
     keep_freed_memory()
-    if config.compile == "on":
+    if config.compile == "on" and config.device == "cpu":
         _set_up_compiler()
     if config.device == "cuda":
         environment.default("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
@@ -102,9 +103,10 @@ def keep_freed_memory() -> None:
 
 
 def _choose() -> dict[str, Any]:
+    has_gpu = torch.cuda.is_available()
     return {
-        "device": "cuda" if torch.cuda.is_available() else "cpu",
-        "compile": "on" if has_compiler() else "off",
+        "device": "cuda" if has_gpu else "cpu",
+        "compile": "on" if has_gpu or has_compiler() else "off",
         "n_threads": min(MAX_THREADS, _n_cores() or 1),
     }
 

@@ -5,6 +5,7 @@ It is all that reaches a driver. The style, the desired speed and the plan of th
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -99,7 +100,10 @@ class Perception:
         if agents == list(range(self.direction.shape[1])):
             return self
 
-        return self._picked(lambda field: field[:, agents], lambda field: field[:, :, agents])
+        def pick(field: Tensor, axis: int) -> Tensor:
+            return torch.stack([field.select(axis, agent) for agent in agents], axis)
+
+        return self._picked(partial(pick, axis=1), partial(pick, axis=2))
 
     def _picked(self, pick: Callable[[Tensor], Tensor], pick_past: Callable[[Tensor], Tensor]) -> "Perception":
         """The perception with some agents; pick: of fields [E, S, ...], pick_past: of fields [E, K, S, ...]."""

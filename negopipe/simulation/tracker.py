@@ -87,11 +87,11 @@ class Tracker:
         position_variance, yaw_variance, speed_variance = self.variances
         x, y, yaw = latest.pose[:, 0].unbind(-1)
         speed = latest.speed[:, 0]
-        variance = torch.tensor([position_variance, 0.0, speed_variance], device=x.device, dtype=x.dtype)
+        variance = torch.stack([torch.full_like(x, each) for each in (position_variance, 0.0, speed_variance)], -1)
         return Estimate(
             position=torch.stack([x, y], -1),
             velocity=torch.stack([speed * torch.cos(yaw), speed * torch.sin(yaw)], -1),
-            covariance=variance.expand(*x.shape, 3),
+            covariance=variance,
             yaw=yaw,
             yaw_variance=torch.full_like(x, yaw_variance),
         )

@@ -217,7 +217,7 @@ def _limit(device: str) -> str:
 def _what_is_missing(backend: Backend) -> str | None:
     if _device(backend).type == "cuda" and not torch.cuda.is_available():
         return "CUDA device"
-    if backend in ("compiled", "cuda") and not has_compiler():
+    if backend == "compiled" and not has_compiler():
         return "C++ compiler"
     return None
 

@@ -9,7 +9,7 @@ columns of one table per dtype. A chunk is a range of rows.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -60,15 +60,18 @@ class Layout:
 
 
 class ChunkedFunction:
-    """Function `fn`, called on `size` worlds at a time.
+    """Function `fn`, called on one of some numbers of worlds at a time.
 
     fn: maps tensors, tensor dataclasses or tuples of them to such; axis 0 of every tensor is the worlds
+    sizes: numbers of worlds per call; a compiler compiles `fn` for each that is needed
     compiler: compiles a function of tables; the last chunk is then padded with copies of its last world, so that all
         chunks have one shape. None = `fn` is not compiled
     """
 
-    def __init__(self, fn: Callable[..., Any], size: int, compiler: Callable[[Callable], Callable] | None) -> None:
-        self.fn, self.size, self.compiler = fn, size, compiler
+    def __init__(
+        self, fn: Callable[..., Any], sizes: Sequence[int], compiler: Callable[[Callable], Callable] | None
+    ) -> None:
+        self.fn, self.sizes, self.compiler = fn, sorted(sizes), compiler
         self._on_tables: dict[tuple, tuple[Layout, Layout, Callable[..., Tables]]] = {}
 
     def __call__(self, *args: Any) -> Any:
@@ -78,7 +81,7 @@ class ChunkedFunction:
             self._on_tables[signature] = self._prepare(args)
         arguments, result, fn = self._on_tables[signature]
         tables, n_worlds = arguments.pack(args), len(leaves[0])
-        pieces = [fn(*self._rows(tables, start)) for start in range(0, n_worlds, self.size)]
+        pieces = [fn(*self._rows(tables, start, size)) for start, size in self._chunks(n_worlds)]
         return result.unpack(tuple(_joined(parts, n_worlds) for parts in zip(*pieces, strict=True)))
 
     def _prepare(self, args: Any) -> tuple[Layout, Layout, Callable[..., Tables]]:
@@ -91,10 +94,15 @@ class ChunkedFunction:
 
         return arguments, result, self.compiler(on_tables) if self.compiler else on_tables
 
-    def _rows(self, tables: Tables, start: int) -> Tables:
-        n_missing = start + self.size - len(tables[0])
+    def _chunks(self, n_worlds: int) -> Iterator[tuple[int, int]]:
+        """First world and size of every chunk: the largest size, and for the rest the smallest that holds it."""
+        for start in range(0, n_worlds, self.sizes[-1]):
+            yield start, next((size for size in self.sizes if size >= n_worlds - start), self.sizes[-1])
+
+    def _rows(self, tables: Tables, start: int, size: int) -> Tables:
+        n_missing = start + size - len(tables[0])
         if n_missing <= 0 or not self.compiler:
-            return tuple(table[start : start + self.size] for table in tables)
+            return tuple(table[start : start + size] for table in tables)
         return tuple(torch.cat([table[start:], table[-1:].expand(n_missing, -1)]) for table in tables)
 
 
