@@ -21,6 +21,7 @@ from negopipe.schema import (
     PositiveInt,
     PositiveInterval,
     PositiveMetres,
+    SizeRange,
     schema,
 )
 from negopipe.simulation.geometry import Size
@@ -29,6 +30,10 @@ from negopipe.simulation.road_config import RoadConfig, StreetsConfig
 from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import EGO, Casting, Task
 from negopipe.simulation.vehicle_kinds import VehicleKinds, bounds, draw_kinds
+from negopipe.tensors.stateless_rng import mix, uniform
+
+QUEUE = 0x9E0E
+"""Offset of the key from which the spacing of queues is drawn, apart from the other draws of an episode."""
 
 
 @schema
@@ -121,7 +126,7 @@ class ScenarioConfig:
     episode_steps: PositiveInt
     n_social: PositiveInt
     n_followers: NonNegativeInt
-    social_spacing_m: PositiveMetres
+    social_spacing_m: SizeRange
     road: RoadConfig
     streets: StreetsConfig
     map: MapConfig | None
@@ -173,7 +178,8 @@ class ScenarioConfig:
     @property
     def queue_m(self) -> tuple[float, float]:
         """Distance of the last vehicle behind the ego to the ego, and of the last oncoming one to the first."""
-        return self.n_followers * self.social_spacing_m, (self.n_social - 1) * self.social_spacing_m
+        spacing_m = bounds(self.social_spacing_m)[1]
+        return self.n_followers * spacing_m, (self.n_social - 1) * spacing_m
 
     @property
     def largest_of_kinds(self) -> dict[str, VehicleConfig]:
@@ -273,9 +279,13 @@ class TaskSampler:
         which, noise, ego, first, start, desired, style, next_style, switch, patience = shares.split(widths, dim=1)
         family = torch.searchsorted(tables.until, which[:, 0].contiguous(), right=True).clamp(max=len(tables.until) - 1)
         ego = _between(scenario.ego_start_distance_m, ego)
-        queue = torch.arange(n_vehicles, device=family.device) * scenario.social_spacing_m
-        social = _outside(tables.gaps[family], tables.distance[family], first) + queue[: scenario.n_social]
-        followers = ego + queue[1 : 1 + scenario.n_followers]
+        noise_seed = (noise[:, 0] * 2**24).long()  # 24 bits is what a random float32 has
+        oncoming, with_ego = (
+            _queue(scenario.social_spacing_m, noise_seed, n, channel)
+            for channel, n in enumerate((scenario.n_social, 1 + scenario.n_followers))
+        )
+        social = _outside(tables.gaps[family], tables.distance[family], first) + oncoming
+        followers = ego + with_ego[:, 1:]
         direction = -self._draw_streets(n)[:, None].expand(-1, n_vehicles).contiguous()
         direction[:, [EGO, *range(1 + scenario.n_social, n_vehicles)]] *= -1
         task = Task(
@@ -289,7 +299,7 @@ class TaskSampler:
             switch_time=_with_ego(torch.inf, _between_each(tables.switch_time[family], switch)),
             patience=_with_ego(torch.inf, _between_each(tables.patience[family], patience)),
             direction=direction,
-            noise_seed=(noise[:, 0] * 2**24).long(),  # 24 bits is what a random float32 has
+            noise_seed=noise_seed,
             family=family,
             length=torch.full_like(direction, scenario.vehicle.length_m),
             width=torch.full_like(direction, scenario.vehicle.width_m),
@@ -346,6 +356,16 @@ def _one_of(values: Tensor, n_values: Tensor, family: Tensor, share: Tensor) -> 
     last = (n_values - 1)[family, None]
     index = (share * n_values[family, None]).long().minimum(last)
     return values[family].gather(1, index)
+
+
+def _queue(spacing_m: float | tuple[float, float], noise_seed: Tensor, n: int, channel: int) -> Tensor:
+    """[E, n] m: distances of a queue's vehicles behind the first, functions of the tasks' noise seeds."""
+    vehicle = torch.arange(n, device=noise_seed.device)
+    low, high = bounds(spacing_m)
+    if low == high:
+        return (vehicle * low).expand(len(noise_seed), -1)
+    spacing = _between((low, high), uniform(mix(mix(noise_seed)[:, None] + vehicle) + QUEUE, channel))
+    return (spacing * (vehicle > 0)).cumsum(1)
 
 
 def _between(interval: tuple[float, float], share: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from negopipe.simulation.build_road import build_road, draw_streets
 from negopipe.simulation.geometry import Boxes, Size, boxes_from_pose, overlap_depth
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig
+from negopipe.simulation.vehicle_kinds import bounds
 
 STEP_M = 0.25
 """Spacing of the start distances that are checked in an interval, m."""
@@ -35,15 +36,10 @@ def check_starts(scenario: ScenarioConfig, families: Mapping[str, FamilyConfig],
     """
     starts = _Starts(scenario)
     yield from starts.check_corridor()
-    queue = torch.arange(scenario.n_vehicles) * scenario.social_spacing_m
-    distance = _tried(scenario.ego_start_distance_m)[:, None] + queue[: 1 + scenario.n_followers]
-    yield from starts.check_roadside(ego_key, scenario.ego_start_distance_m, distance, 1.0)
-    yield from starts.check_spacing(distance, 1.0)
+    yield from starts.check_queue(ego_key, scenario.ego_start_distance_m, 1 + scenario.n_followers, 1.0)
     pieces = {piece: key for key, family in families.items() for piece in family.pieces_m or [family.start_distance_m]}
     for piece, key in pieces.items():  # what several families have in common is tried once
-        distance = _tried(piece)[:, None] + queue[: scenario.n_social]
-        yield from starts.check_roadside(f"{key}.start_distance_m", piece, distance, -1.0)
-        yield from starts.check_spacing(distance, -1.0)
+        yield from starts.check_queue(f"{key}.start_distance_m", piece, scenario.n_social, -1.0)
         yield from starts.check_ego(f"{key}.start_distance_m", piece[0], ego_key)
     behind_ego_m, behind_social_m = scenario.queue_m
     farthest_m = max(scenario.ego_start_distance_m[1] + behind_ego_m, *(piece[1] + behind_social_m for piece in pieces))
@@ -83,6 +79,15 @@ class _Starts:
                 got = f"{kind.length_m:g} m x {kind.width_m:g} m, which touches a parked car or a kerb {first_m:g} m"
                 yield Problem(f"scenario.kinds.{name}", rule, f"{got} from a mouth of the corridor")
 
+    def check_queue(
+        self, key: str, interval: tuple[float, float], n_vehicles: int, direction: float
+    ) -> Iterator[Problem]:
+        """A queue whose first vehicle starts anywhere in the interval."""
+        low, high = bounds(self.scenario.social_spacing_m)
+        of_each = [_tried((interval[0] + k * low, interval[1] + k * high)) for k in range(n_vehicles)]
+        yield from self.check_roadside(key, interval, torch.cat(of_each), direction)
+        yield from self.check_spacing(_tried(interval)[:, None] + torch.arange(n_vehicles) * low, direction)
+
     def check_roadside(
         self, key: str, interval: tuple[float, float], distance: Tensor, direction: float
     ) -> Iterator[Problem]:
@@ -109,7 +114,9 @@ class _Starts:
         """Vehicles of one direction, which start at the distances [N, S], do not start in each other."""
         ahead, behind = (self._boxes(each, direction, self.largest) for each in (distance[:, :-1], distance[:, 1:]))
         if (overlap_depth(ahead, behind) > TOUCH_M).any():
-            yield Problem("scenario.social_spacing_m", self._apart, self.scenario.social_spacing_m)
+            spacing_m = self.scenario.social_spacing_m
+            got = list(spacing_m) if isinstance(spacing_m, tuple) else spacing_m
+            yield Problem("scenario.social_spacing_m", self._apart, got)
 
     @property
     def _apart(self) -> str:

@@ -35,7 +35,7 @@ class GraphedFunction:
 class _Recorded:
     """A graph, with the memory that it reads from and writes to."""
 
-    _pool: Any = None
+    _memory: Any = None
     """Memory of all graphs: they never run at once, and their results are copied before the next one runs."""
 
     def __init__(self, fn: Callable[..., Tables], example: Tables) -> None:
@@ -45,9 +45,9 @@ class _Recorded:
         with torch.cuda.stream(before):
             fn(*self._given)  # libraries set themselves up in a first call, which cannot be recorded
         torch.cuda.current_stream().wait_stream(before)
-        _Recorded._pool = _Recorded._pool or torch.cuda.graph_pool_handle()
+        _Recorded._memory = _Recorded._memory or torch.cuda.MemPool()
         self._graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(self._graph, pool=_Recorded._pool):
+        with torch.cuda.graph(self._graph, pool=_Recorded._memory.id):
             self._results = fn(*self._given)
 
     def __call__(self, *tables: Tensor) -> Tables:
