@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
-from negopipe.simulation.road import RouteState
+from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.streets import Streets
 
@@ -43,14 +43,24 @@ def check_routes(road: Streets, vehicle: VehicleConfig, clearance_m: float) -> R
     x, y, cos, sin = (field[..., None] for field in boxes[:4])
     each = boxes._replace(x=x, y=y, cos=cos, sin=sin)
     touches = (overlap_depth(each, road.parked_boxes(way)) > 0).any(-1)
-    is_near = _kerb_excess(road, boxes, s, way) > -NEAR_M
-    near = boxes._replace(**{name: getattr(boxes, name)[is_near] for name in ("x", "y", "cos", "sin")})
-    touches[is_near] |= road.is_off_road(near, way[is_near])
+    touches |= is_off_road_on_route(road, boxes, s, way)
     return RouteCheck(road.sigma(s, way), touches, on_route.curvature)
 
 
-def _kerb_excess(road: Streets, boxes: Boxes, s: Tensor, way: Tensor) -> Tensor:
-    """[2B, K] m: about the depth over a kerb of vehicles on their routes; it takes no projection onto the line."""
+def is_off_road_on_route(road: Road, boxes: Boxes, s: Tensor, way: Tensor) -> Tensor:
+    """[...] bool: vehicles on their routes at `s` [...] (m), with footprints `boxes` of one size, are over a kerb.
+
+    Only those near a kerb are projected onto the line, which is what takes time.
+    """
+    is_near = _kerb_excess(road, boxes, s, way) > -NEAR_M
+    near = boxes._replace(**{name: getattr(boxes, name)[is_near] for name in ("x", "y", "cos", "sin")})
+    is_off = torch.zeros_like(is_near)
+    is_off[is_near] = road.is_off_road(near, way[is_near])
+    return is_off
+
+
+def _kerb_excess(road: Road, boxes: Boxes, s: Tensor, way: Tensor) -> Tensor:
+    """[...] m: about the depth over a kerb of vehicles on their routes; it takes no projection onto the line."""
     d, d_prime, _ = road.route_offset(s, way)
     kappa, _ = road.curvature(s, way)
     tan = d_prime / (1 - kappa * d)
