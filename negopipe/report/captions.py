@@ -46,6 +46,11 @@ CAPTIONS = {
         ego's prediction of the social vehicle. Below the road: the occupancy grids, where the policy observes them
         (ahead is to the right), and its probability of each prediction horizon.""",
     ),
+    "cases": (
+        "Every case: {measure}",
+        """Rows: cases, each of which lies outside every training in a respect that its file in conf/unseen states.
+        Columns: planners. All planners of a row drive the same tasks.""",
+    ),
     "behaviour_index": (
         "Behaviour index",
         """Eq. 7. Above zero (prosocial) the social vehicle has travelled further since the start than the ego; below

@@ -56,7 +56,7 @@ def write_page(
     curves = read_curves(runs, groups)
     curves = curves[curves["group"].isin(short)]
     sections = [_training(curves.assign(group=curves["group"].map(short)))]
-    page = build_page(title, verdicts, [*_configs(short), *chapters], claims, sections, _provenance(runs, command))
+    page = build_page(title, verdicts, [*_configs(short), *chapters], claims, sections, provenance(runs, command))
     write_whole(target / "report.html", page.encode())
     print(f"page       {target / 'report.html'}")
     for head, _ in verdicts:
@@ -102,7 +102,7 @@ def _training(curves: pd.DataFrame) -> Section:
     return Section("Training", "", [FigureItem(*caption("learning_curves"), render(learning_curves(curves), "svg"))])
 
 
-def _provenance(runs: Sequence[SweptRun], command: str) -> Provenance:
+def provenance(runs: Sequence[SweptRun], command: str) -> Provenance:
     """The command, the seeds of all runs, and the first run's config with a note on the keys in which others differ."""
     first = runs[0]
     seeds = sorted({run.config["seed"] for run in runs})

@@ -272,6 +272,25 @@ def test_social_vehicles_queue(three_social_config: RunConfig) -> None:
     assert task.direction.tolist() == [[1.0, -1.0, -1.0, -1.0]] * 10
 
 
+def test_the_spacing_of_a_queue_may_be_drawn() -> None:
+    spaced = ["scenario.n_social=3", "scenario.n_followers=2", "scenario.social_spacing_m=[7.0,20.0]"]
+    fixed, drawn = (draw_tasks(compose_config(overrides), 200) for overrides in (spaced[:2], spaced))
+    start = drawn.start_distance
+    gaps = torch.cat([start[:, 1:4].diff(dim=1), start[:, [0, 4, 5]].diff(dim=1)], dim=1)
+    assert gaps.min() >= 7 - 1e-5
+    assert gaps.max() <= 20 + 1e-5
+    assert (gaps.amax(0) - gaps.amin(0) > 10).all()
+    assert torch.corrcoef(gaps.T).fill_diagonal_(0).abs().max() < 0.3
+    assert torch.equal(start[:, :2], fixed.start_distance[:, :2])  # nothing else of a task changes
+    assert torch.equal(drawn.start_speed, fixed.start_speed)
+
+
+@pytest.mark.parametrize("spacing", ["[4.0,20.0]", "4.0"])
+def test_vehicles_of_a_queue_must_not_start_in_each_other(spacing: str) -> None:
+    with pytest.raises(UserError, match=r"^scenario\.social_spacing_m must keep vehicles of scenario\.vehicle"):
+        compose_config(["scenario.n_social=2", f"scenario.social_spacing_m={spacing}"])
+
+
 def test_streams_depend_on_seed_and_purpose() -> None:
     def first(seed: int, purpose: str) -> float:
         return float(torch.rand(1, generator=generator(seed, purpose)))

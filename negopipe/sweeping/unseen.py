@@ -1,0 +1,199 @@
+"""Results of unseen-v1 as one table and one page: `python -m negopipe.sweeping.unseen <outputs>`.
+
+The runs of `+experiment=unseen` are read, one per case and checkpoint, and nothing is run.
+"""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from negopipe.errors import UserError
+from negopipe.evaluation import measures
+from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
+from negopipe.evaluation.statistics import mean_difference
+from negopipe.evaluation.trace import ADAPTIVE
+from negopipe.report.captions import caption
+from negopipe.report.case_figures import MAPS, case_map
+from negopipe.report.figures import render
+from negopipe.report.labels import planner_label
+from negopipe.report.page import Chapter, FigureItem, Section, build_page
+from negopipe.report.style import planner_colors
+from negopipe.report.tables import Column, Table, table
+from negopipe.sweeping.comparison_page import provenance
+from negopipe.sweeping.swept_runs import SweptRun, find_folders, read_runs
+from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
+from negopipe.tracking.whole_file import write_whole
+
+COMMAND = "python -m negopipe.sweeping.unseen"
+SUITE = "unseen-v1"
+REFERENCE = "cautious"
+"""Planner that all others are compared with, task by task."""
+RANDOM_SEED = 0
+"""Seed of the bootstrap: the same runs give the same intervals."""
+FIGURES = (
+    *("success_rate", "success_low", "success_high", "collision_rate", "collision_low", "collision_high"),
+    *("avoidable_by_ego_rate", "avoidable_by_both_rate", "avoidable_by_social_rate", "deadlock_rate", "timeout_rate"),
+    *("driving_time_s", "reward", "smallest_gap_m", "smallest_ttc_s", "largest_decel_mps2", "full_braking_count"),
+)
+"""Measures of a planner in a case, in the order of the table."""
+ROWS = CsvKind(COMMAND, {"case": str, "planner": str, "n_episodes": int, "*": float}, "%.5g")
+"""unseen.csv."""
+OVERALL = (
+    Column("success [%]", "success_rate", 100, 1, "max"),
+    Column("least of a case [%]", "least_success", 100, 1, "max"),
+    Column("collision [%]", "collision_rate", 100, 2, "min"),
+    Column("most of a case [%]", "most_collisions", 100, 1, "min"),
+    Column("deadlock [%]", "deadlock_rate", 100, 2, "min"),
+    Column("driving time [s]", "driving_time_s", 1, 2, "min"),
+    Column("cases", "n_cases", 1, 0),
+)
+
+
+class Cases(NamedTuple):
+    """Episodes of all planners in all cases.
+
+    episodes: rows of the runs' episodes.csv with the column `case`; a policy is named after its checkpoint where there
+        are several
+    fixed_s: horizon of each baseline that has a fixed one
+    """
+
+    episodes: pd.DataFrame
+    fixed_s: Mapping[str, float]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; 0, or 1 after a line that says what is wrong."""
+    parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
+    parser.add_argument("outputs", type=Path, help="outputs folder of the runs, such as outputs/unseen-v1")
+    given = parser.parse_args(arguments)
+    try:
+        write_results(given.outputs, f"{COMMAND} {given.outputs}")
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+def write_results(outputs: Path, command: str) -> None:
+    """Write unseen.csv and unseen.html into the outputs folder and print the table over all cases."""
+    runs = [run for run in read_runs(find_folders([outputs / f"{SUITE}.*"])) if run.holds(EPISODES_NAME)]
+    if not runs:
+        raise UserError(f"the folder must hold evaluated runs of +experiment=unseen, got {outputs}")
+    cases = read_cases(runs)
+    rows = case_table(cases.episodes)
+    write_csv(outputs / "unseen.csv", rows, ROWS)
+    overall = over_cases(rows)
+    page = _page(cases, rows, overall, runs, command)
+    write_whole(outputs / "unseen.html", page.encode())
+    for name, values in overall.items():
+        figures = f"success {values['success_rate']:7.2%}  collision {values['collision_rate']:6.2%}"
+        print(f"{name:24} {figures}  {values['n_cases']} cases")
+    print(f"table      {outputs / 'unseen.csv'}\npage       {outputs / 'unseen.html'}")
+
+
+def read_cases(runs: Sequence[SweptRun]) -> Cases:
+    """The episodes of all runs; of a baseline that several runs of a case drove, those of the first one."""
+    checkpoints = list(dict.fromkeys(str(run.config["checkpoint"]) for run in runs))
+    own = {each: ADAPTIVE if len(checkpoints) == 1 else f"{ADAPTIVE}_{i}" for i, each in enumerate(checkpoints, 1)}
+    parts, seen = [], set()
+    fixed_s: dict[str, float] = {}
+    for run in runs:
+        case = str(run.config["name"]).removeprefix(f"{SUITE}.")
+        episodes = read_csv(run.folder / EPISODES_NAME, EPISODES)
+        episodes = episodes.replace({"planner": {ADAPTIVE: own[str(run.config["checkpoint"])]}})
+        for planner, rows in episodes.groupby("planner", sort=False):
+            if (case, planner) not in seen:
+                seen.add((case, planner))
+                parts.append(rows.assign(case=case))
+        fixed_s |= _fixed(run.config)
+    return Cases(pd.concat(parts, ignore_index=True), fixed_s)
+
+
+def _fixed(config: Mapping[str, Any]) -> dict[str, float]:
+    prefix, suffix = "evaluation.baselines.", ".horizon_s"
+    keys = [key for key in config if key.startswith(prefix) and key.endswith(suffix)]
+    return {key.removeprefix(prefix).removesuffix(suffix): float(config[key]) for key in keys}
+
+
+def case_table(episodes: pd.DataFrame) -> pd.DataFrame:
+    """A row per case and planner: its measures, its share of the tasks that any planner solved, and its paired
+    differences from `cautious`, with bootstrap intervals.
+    """
+    rng, rows = np.random.default_rng(RANDOM_SEED), []
+    for case, tasks in episodes.groupby("case", sort=True):
+        outcomes = tasks.pivot(index="episode", columns="planner", values="outcome")
+        times = tasks.pivot(index="episode", columns="planner", values="driving_time_s")
+        is_solvable = (outcomes == "success").any(axis=1)
+        own = tasks.assign(setting=case)
+        for planner, values in measures.summary(own)["evaluation"][case].items():
+            is_success = outcomes[planner] == "success"
+            rows.append(
+                {"case": case, "planner": planner, "n_episodes": values["n_episodes"]}
+                | {name: values[name] for name in FIGURES}
+                | {"solved_by_any": is_solvable.mean(), "share_of_solved": is_success[is_solvable].mean()}
+                | _versus(outcomes, times, str(planner), rng)
+            )
+    return pd.DataFrame(rows)
+
+
+def _versus(outcomes: pd.DataFrame, times: pd.DataFrame, planner: str, rng: np.random.Generator) -> dict[str, float]:
+    """Differences from the reference on the same tasks: success, collisions, driving time where both arrive (s)."""
+    if REFERENCE not in outcomes:
+        return {}
+    pairs = {
+        outcome: (outcomes == outcome)[[planner, REFERENCE]].dropna().astype(float)
+        for outcome in ("success", "collision")
+    } | {"time_s": times[[planner, REFERENCE]].dropna()}
+    found: dict[str, float] = {}
+    for name, both in pairs.items():
+        a, b = both.iloc[:, 0].to_numpy(), both.iloc[:, 1].to_numpy()
+        stem = f"{name}_vs_{REFERENCE}"
+        if len(both):
+            estimate = mean_difference(a, b, rng)
+            found |= {stem: estimate.value, f"{stem}_low": estimate.low, f"{stem}_high": estimate.high}
+    return found
+
+
+def over_cases(rows: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """Planner -> means over its cases, each case alike, and its worst case."""
+    return {
+        str(planner): own[["success_rate", "collision_rate", "deadlock_rate", "driving_time_s"]].mean().to_dict()
+        | {
+            "least_success": own["success_rate"].min(),
+            "most_collisions": own["collision_rate"].max(),
+            "n_cases": len(own),
+        }
+        for planner, own in rows.groupby("planner", sort=False)
+    }
+
+
+def _page(
+    cases: Cases, rows: pd.DataFrame, overall: Mapping[str, Mapping[str, float]], runs: Sequence[SweptRun], command: str
+) -> str:
+    labels = {planner: planner_label(planner, cases.fixed_s) for planner in overall}
+    colors = planner_colors(list(overall), cases.fixed_s)
+    n_cases = rows["case"].nunique()
+    over: Table = table("Means over the cases, each case alike", OVERALL, overall, labels, colors)
+    note = f"{n_cases} cases, {rows['n_episodes'].min()} tasks each, the same for all planners"
+    figures = [
+        FigureItem(*caption("cases", measure=MAPS[column][0]), render(case_map(rows, column, labels), "svg"))
+        for column in MAPS
+    ]
+    verdicts = [_verdict(name, overall[name], labels[name]) for name in overall if name.startswith(ADAPTIVE)]
+    sections = [Section("Every case", "", figures)]
+    return build_page(SUITE, verdicts, [Chapter("All cases", note, [over])], [], sections, provenance(runs, command))
+
+
+def _verdict(name: str, values: Mapping[str, float], label: str) -> tuple[str, str]:
+    head = f"{label}: {values['success_rate']:.1%} success and {values['collision_rate']:.2%} collisions on the mean."
+    worst = f"at least {values['least_success']:.1%} success and at most {values['most_collisions']:.1%} collisions"
+    return head, f"In each of its {values['n_cases']} cases: {worst}."
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import yaml
+
+from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
+from negopipe.sweeping import unseen
+from negopipe.tracking.csv_file import write_csv
+from negopipe.tracking.record import RunRecord, write_record
+
+OUTCOMES = {
+    "adaptive": ["success", "success", "success", "collision"],
+    "fixed_6": ["success", "deadlock", "success", "success"],
+    "cautious": ["success", "timeout", "collision", "collision"],
+}
+
+
+def episodes(outcomes: dict[str, list[str]]) -> pd.DataFrame:
+    numbers = ("reward", "smallest_gap_m", "smallest_ttc_s", "largest_decel_mps2")
+    rows = [
+        {"planner": planner, "setting": "mixture", "episode": i, "outcome": outcome, "avoidable_by": "none"}
+        | {"driving_time_s": 10.0 + i if outcome == "success" else float("nan"), "full_braking_count": 0}
+        | dict.fromkeys(numbers, 1.0)
+        for planner, own in outcomes.items()
+        for i, outcome in enumerate(own)
+    ]
+    return pd.DataFrame(rows)
+
+
+def make_run(outputs: Path, case: str, checkpoint: str, outcomes: dict[str, list[str]]) -> None:
+    folder = outputs / f"unseen-v1.{case}" / f"seed1-{checkpoint}"
+    folder.mkdir(parents=True)
+    baselines = {"fixed_6": {"kind": "fixed", "horizon_s": 6.0}, "cautious": {"kind": "cautious"}}
+    config = {"name": f"unseen-v1.{case}", "seed": 1, "checkpoint": checkpoint, "stages": ["evaluate"]}
+    config["evaluation"] = {"baselines": baselines}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    write_record(folder, RunRecord("key", "s", {}, {"evaluate": {"config": "c", "source": "s"}}))
+    (folder / "metrics.json").write_text(json.dumps({}), encoding="utf-8")
+    write_csv(folder / EPISODES_NAME, episodes(outcomes), EPISODES)
+
+
+@pytest.fixture
+def outputs(tmp_path: Path) -> Path:
+    make_run(tmp_path, "bus", "a.safetensors", OUTCOMES)
+    make_run(tmp_path, "night", "a.safetensors", {**OUTCOMES, "adaptive": ["success"] * 4})
+    return tmp_path
+
+
+def test_a_row_has_rates_and_differences_on_the_same_tasks(outputs: Path) -> None:
+    assert unseen.main([str(outputs)]) == 0
+    rows = pd.read_csv(outputs / "unseen.csv").set_index(["case", "planner"])
+    bus = rows.loc[("bus", "adaptive")]
+    assert bus["n_episodes"] == 4
+    assert bus["success_rate"] == 0.75
+    assert bus["success_low"] < 0.75 < bus["success_high"]
+    assert bus["collision_rate"] == 0.25
+    assert bus["solved_by_any"] == 1.0
+    assert bus["success_vs_cautious"] == 0.5
+    assert bus["collision_vs_cautious"] == -0.25
+    assert bus["time_s_vs_cautious"] == 0.0  # where both arrive
+    assert rows.loc[("bus", "fixed_6"), "deadlock_rate"] == 0.25
+    assert rows.loc[("night", "adaptive"), "success_rate"] == 1.0
+
+
+def test_the_means_count_every_case_alike(outputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    unseen.main([str(outputs)])
+    printed = capsys.readouterr().out
+    assert "adaptive                 success  87.50%  collision 12.50%  2 cases" in printed
+    page = (outputs / "unseen.html").read_text(encoding="utf-8")
+    assert "adaptive: 87.5% success and 12.50% collisions on the mean." in page
+    assert "at least 75.0% success and at most 25.0% collisions" in page
+    assert page.count("<svg") + page.count("image/svg+xml") == 2
+
+
+def test_several_checkpoints_are_told_apart_and_baselines_count_once(outputs: Path) -> None:
+    make_run(outputs, "bus", "b.safetensors", {**OUTCOMES, "adaptive": ["collision"] * 4, "fixed_6": ["deadlock"] * 4})
+    unseen.main([str(outputs)])
+    rows = pd.read_csv(outputs / "unseen.csv").set_index(["case", "planner"])["success_rate"]
+    assert rows["bus"].to_dict() == {"adaptive_1": 0.75, "fixed_6": 0.75, "cautious": 0.25, "adaptive_2": 0.0}
+
+
+def test_a_folder_without_runs_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert unseen.main([str(tmp_path)]) == 1
+    assert capsys.readouterr().err.startswith("the folder must be <outputs>/<name> with runs in it, got ")
