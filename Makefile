@@ -17,7 +17,7 @@ DOCS := build/docs
 ARGS ?=
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/requirements.lock
 
-.PHONY: help setup yield push smoke compare test test-slow test-sweeps lint lock ui docs docs-serve
+.PHONY: help setup yield push unseen smoke compare test test-slow test-sweeps lint lock ui docs docs-serve
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -34,6 +34,10 @@ yield: $(READY)  ## train, evaluate and report on the yield task
 
 push: $(READY)  ## the same on the push task
 	$(BIN)/python -m negopipe +experiment=push $(ARGS)
+
+unseen: $(READY)  ## put the policy of CHECKPOINT to tasks that no training contains
+	$(BIN)/python -m negopipe +experiment=unseen 'checkpoint=$(CHECKPOINT)' 'outputs=$(OUTPUTS)/unseen-v1' $(ARGS)
+	$(BIN)/python -m negopipe.sweeping.unseen '$(OUTPUTS)/unseen-v1'
 
 smoke: $(READY)  ## the whole pipeline, tiny: does it run from end to end?
 	$(BIN)/python -m negopipe +experiment=smoke $(ARGS)
