@@ -28,9 +28,14 @@ BOX_M = 1e-3
 """Distance from a vehicle's side within which a cell may differ, m: a rounding of coordinates of 100 m in float32."""
 
 DRAWN = ("scenario=random_streets", "scenario.streets.n_training=1", "scenario.streets.n_held_out=24")
+WIDTHS = (
+    "scenario.road.width_changes=[{start_m:[-50.0,-40.0],length_m:[6.0,15.0],width_m:[5.5,8.5]},"
+    "{start_m:[16.0,25.0],length_m:[6.0,15.0],width_m:[5.5,8.5]}]"
+)
 
 STREETS = {
     "random_streets": (24, DRAWN),
+    "changing_width": (24, (*DRAWN, WIDTHS)),
     "s_curve": (2, ("scenario=s_curve",)),
 }
 
@@ -87,10 +92,20 @@ def road_polygon(street: StreetConfig) -> Any:
     heading -= heading[middle]
     slopes = (np.cos(heading), np.sin(heading))
     x, y = (np.concatenate([[0.0], np.cumsum(STEP_M * (slope[1:] + slope[:-1]) / 2)]) for slope in slopes)
-    x, y, half = x - x[middle], y - y[middle], np.full_like(sigma, street.width_m / 2)
+    x, y, half = x - x[middle], y - y[middle], half_width(street, sigma)
     left = np.stack([x - half * np.sin(heading), y + half * np.cos(heading)], -1)
     right = np.stack([x + half * np.sin(heading), y - half * np.cos(heading)], -1)
     return shapely.Polygon(np.concatenate([left, right[::-1]]))
+
+
+def half_width(street: StreetConfig, sigma: np.ndarray) -> np.ndarray:
+    """[K] m: distance of the kerbs from the line, straight between the knots of the road's tables."""
+    knots = np.arange(-REACH_M, REACH_M + 0.25, 0.5)
+    width, before = np.full_like(knots, street.width_m), street.width_m
+    for change in street.width_changes:
+        t = np.clip((knots - change.start_m) / change.length_m, 0, 1)
+        width, before = width + (change.width_m - before) * t**3 * (10 - 15 * t + 6 * t**2), change.width_m
+    return np.interp(sigma, knots, width) / 2
 
 
 def outlines(game: Game, world: World, e: int, steps_ago: int) -> np.ndarray:
