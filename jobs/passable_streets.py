@@ -19,8 +19,9 @@ from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.config.root import RunConfig
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.game.game import Game, build_game, has_compiler
-from negopipe.runtime.backend import keep_freed_memory
+from negopipe.game.game import Game
+from negopipe.runtime.backend import prepare
+from negopipe.runtime.build import game_of
 from negopipe.simulation.state import Task
 from negopipe.stages.behaviour_map import map_tasks
 from negopipe.stages.evaluate import held_out_tasks
@@ -33,6 +34,9 @@ def config_of(n_tasks: int, overrides: Sequence[str]) -> RunConfig:
     """The mixture on as many drawn streets as there are tasks."""
     return load_config(
         "+experiment=mixture",
+        "device=cpu",
+        "compile=off",
+        "n_threads=1",
         "scenario=random_streets",
         "curriculum=streets",
         "planner=consistent_stops",
@@ -84,10 +88,10 @@ def summary(tasks: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def main(table: Path, n_tasks: int, overrides: Sequence[str], is_compiled: bool) -> None:
-    keep_freed_memory()
+def main(table: Path, n_tasks: int, overrides: Sequence[str]) -> None:
     config = config_of(n_tasks, overrides)
-    tasks = driven(config, build_game(config, is_compiled=is_compiled))
+    prepare(config)
+    tasks = driven(config, game_of(config))
     pairs = [f"ego_{own_s:g}_social_{other_s:g}" for own_s, other_s in (STYLES_S, STYLES_S[::-1])]
     is_resolved = (tasks[pairs] == "success").any(axis=1)
     passable = tasks[is_resolved]
@@ -103,6 +107,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", type=Path, help="file of the table")
     parser.add_argument("--tasks", type=int, default=640, help="number of tasks and of streets")
-    parser.add_argument("overrides", nargs="*", help="of the config, such as n_threads=1")
+    parser.add_argument("overrides", nargs="*", help="of the config, such as n_threads=4")
     args = parser.parse_args()
-    main(args.table, args.tasks, args.overrides, has_compiler())
+    main(args.table, args.tasks, args.overrides)

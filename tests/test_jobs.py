@@ -10,6 +10,7 @@ import torch
 import yaml
 from scripts import JOBS, load_script
 
+from negopipe.game.game import build_game
 from negopipe.search.oracle_table import ORACLE_TABLE
 from negopipe.tracking import pretrained
 from negopipe.tracking.checkpoint import load_checkpoint
@@ -99,7 +100,7 @@ def test_passable_streets_counts_what_two_planners_resolve(
     driven["ego_2_social_6"] = ["success", "timeout", "success", "collision"]
     driven["ego_6_social_2"] = ["collision", "success", "success", "deadlock"]
     monkeypatch.setattr(job, "driven", lambda config, game: driven)
-    job.main(tmp_path / "table.csv", 2, ["scenario.streets.seed=5"], is_compiled=False)
+    job.main(tmp_path / "table.csv", 2, ["scenario.streets.seed=5"])
     said = capsys.readouterr().out
     assert "two planners resolve 3 of 2 tasks, on 2 streets" in said
     found = pd.read_csv(tmp_path / "table.csv")
@@ -111,9 +112,9 @@ def test_passable_streets_counts_what_two_planners_resolve(
 
 def test_passable_streets_drives_each_task_three_times() -> None:
     job = load_script("passable_streets")
-    config = job.config_of(2, ["scenario.episode_steps=2", "device=cpu", "n_threads=1"])
+    config = job.config_of(2, ["scenario.episode_steps=2"])
     assert (config.scenario.streets.n_held_out, config.evaluation.n_episodes) == (2, 2)
-    table = job.driven(config, job.build_game(config))
+    table = job.driven(config, build_game(config))
     assert len(table) == 2
     assert set(table["street"]) <= {2, 3}
     assert table[["cautious", "ego_2_social_6", "ego_6_social_2"]].isin(["timeout", "deadlock"]).all(axis=None)
