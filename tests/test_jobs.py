@@ -10,6 +10,7 @@ import torch
 import yaml
 from scripts import JOBS, load_script
 
+from negopipe.game.game import build_game
 from negopipe.search.oracle_table import ORACLE_TABLE
 from negopipe.tracking import pretrained
 from negopipe.tracking.checkpoint import load_checkpoint
@@ -88,6 +89,35 @@ def test_scenario_study_picks_by_its_rule(tmp_path: Path, capsys: pytest.Capture
     said = capsys.readouterr().out
     assert "pick, one of 1 in which the best fixed horizon does worst: {'corridor_m': 12.0" in said
     assert "while a sequence does: 0 of 3" in said
+
+
+def test_passable_streets_counts_what_two_planners_resolve(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = load_script("passable_streets")
+    driven = pd.DataFrame({"street": [2, 3, 3, 4], "style_s": [0.0, 0.0, 6.0, 6.0]})
+    driven["cautious"] = ["success", "collision", "success", "deadlock"]
+    driven["ego_2_social_6"] = ["success", "timeout", "success", "collision"]
+    driven["ego_6_social_2"] = ["collision", "success", "success", "deadlock"]
+    monkeypatch.setattr(job, "driven", lambda config, game: driven)
+    job.main(tmp_path / "table.csv", 2, ["scenario.streets.seed=5"])
+    said = capsys.readouterr().out
+    assert "two planners resolve 3 of 2 tasks, on 2 streets" in said
+    found = pd.read_csv(tmp_path / "table.csv")
+    assert found["style_s"].tolist() == ["all", "0", "6"]
+    assert found["n_tasks"].tolist() == [3, 2, 1]
+    assert found["success_rate"].tolist() == [0.6667, 0.5, 1.0]
+    assert found["collision_rate"].tolist() == [0.3333, 0.5, 0.0]
+
+
+def test_passable_streets_drives_each_task_three_times() -> None:
+    job = load_script("passable_streets")
+    config = job.config_of(2, ["scenario.episode_steps=2"])
+    assert (config.scenario.streets.n_held_out, config.evaluation.n_episodes) == (2, 2)
+    table = job.driven(config, build_game(config))
+    assert len(table) == 2
+    assert set(table["street"]) <= {2, 3}
+    assert table[["cautious", "ego_2_social_6", "ego_6_social_2"]].isin(["timeout", "deadlock"]).all(axis=None)
 
 
 def test_a_shipped_policy_is_the_checkpoint_with_its_encoder_rounded(

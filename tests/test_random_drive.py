@@ -20,7 +20,19 @@ from negopipe.simulation.state import EGO, World
 
 N_DECISIONS = int(os.environ.get("NEGOPIPE_RANDOM_DECISIONS") or "1000000")
 MIXED = ("population=mixed", "planner=reversing", "policy=cnn_inf")
+STREETS = (
+    "scenario=random_streets",
+    "curriculum=streets",
+    "scenario.streets.n_training=1",
+    "scenario.streets.n_held_out=2048",
+)
+LEAST_STREETS = 1000
+"""Streets that the drives on drawn streets must be on, of 100,000 decisions and more."""
 TRAFFIC = ("scenario.n_followers=1", "scenario/kind=[small_car,car,van,bus,cyclist]", "perception.occlusion=true")
+WIDTHS = (
+    "scenario.road.width_changes=[{start_m:[-50.0,-40.0],length_m:[6.0,15.0],width_m:[5.5,9.0]},"
+    "{start_m:[16.0,25.0],length_m:[6.0,15.0],width_m:[5.5,9.0]}]"
+)
 N_WORLDS = min(4096, max(1, N_DECISIONS // 128))
 N_STEPS = -(-N_DECISIONS // N_WORLDS)
 
@@ -31,20 +43,28 @@ N_STEPS = -(-N_DECISIONS // N_WORLDS)
     [
         (),
         MIXED,
-        ("scenario=random_streets", "curriculum=streets", *MIXED),
+        (*STREETS, *MIXED),
         (*TRAFFIC, "scenario.n_social=2", *MIXED),
     ],
     ids=["default", "mixed", "streets", "traffic"],
 )
 def test_the_world_stays_sound(options: tuple[str, ...]) -> None:
-    drive_at_random(options, N_WORLDS, N_STEPS, is_compiled=has_compiler())
+    streets = drive_at_random(options, N_WORLDS, N_STEPS, is_compiled=has_compiler())
+    assert len(streets) >= (min(LEAST_STREETS, N_WORLDS // 2) if "scenario=random_streets" in options else 1)
 
 
 def test_a_little_traffic_stays_sound() -> None:
     drive_at_random((*TRAFFIC, *MIXED, "scenario.episode_steps=60"), 24, 70, is_compiled=False)
 
 
-def drive_at_random(options: tuple[str, ...], n_worlds: int, n_steps: int, is_compiled: bool) -> None:
+def test_a_few_streets_of_changing_width_stay_sound() -> None:
+    few = ("scenario.streets.n_training=1", "scenario.streets.n_held_out=32", "scenario.episode_steps=60")
+    streets = drive_at_random((*STREETS[:2], *few, WIDTHS, *MIXED), 24, 70, is_compiled=False)
+    assert len(streets) > 12
+
+
+def drive_at_random(options: tuple[str, ...], n_worlds: int, n_steps: int, is_compiled: bool) -> set[float]:
+    """Numbers of the streets of all drives."""
     config = compose_config(options)
     families = config.scenario.families
     game = build_game(config, is_compiled=is_compiled)
@@ -52,12 +72,14 @@ def drive_at_random(options: tuple[str, ...], n_worlds: int, n_steps: int, is_co
     env = NegotiationEnv(game, config.reward, config.policy.horizons_s, sampler, n_worlds)
     actions = torch.Generator().manual_seed(1)
     limits, dt, n_over, met = config.planner.limits, config.scenario.dt_s, 0, set()
+    streets: set[float] = set()
     for _ in range(n_steps):
         before = env.world
         reached = env.step(torch.randint(env.n_actions, (n_worlds,), generator=actions))
         now, is_over = env.world, reached.is_terminated | reached.is_truncated
         n_over += int(is_over.sum())
         met |= set(now.task.family.unique().tolist())
+        streets |= set(now.task.direction.abs().unique().tolist())
         assert is_finite(now)
         assert float(now.vehicles.speed.min()) >= config.planner.lowest_speed_mps * 1.1
         # whoever goes on has not collided: a world that was recorded as a collision has started again
@@ -72,6 +94,7 @@ def drive_at_random(options: tuple[str, ...], n_worlds: int, n_steps: int, is_co
         assert float(gained.min()) >= -limits.full_braking_mps2 - 1.0
     assert n_over > n_worlds // 2
     assert met == set(range(len(families)))
+    return streets
 
 
 def is_finite(world: World) -> bool:

@@ -1,6 +1,7 @@
-"""An evaluated drive as a CommonRoad scenario: its stretch of the street, and the motion of every vehicle."""
+"""An evaluated drive as a CommonRoad scenario: the street, on the map where it is of one, and all vehicles' motion."""
 
 import re
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -9,7 +10,10 @@ import torch
 from negopipe.evaluation.trace import Trace
 from negopipe.maps.recording import Trajectory, write_commonroad
 from negopipe.maps.street import STEP_M, MapStreet
+from negopipe.simulation.map_config import lanelets_of, read_map
+from negopipe.simulation.map_road import MapFrame, map_frame, map_rules
 from negopipe.simulation.road import Road
+from negopipe.simulation.scenario import ScenarioConfig
 
 BEYOND_M = 20.0
 """Length of street before the first and behind the last place of a vehicle, m."""
@@ -18,14 +22,29 @@ BICYCLE_M, BUS_M = 1.0, 6.0
 """Width below which a vehicle is written as a bicycle, and length from which on as a bus, m."""
 
 
-def commonroad_scenario(road: Road, trace: Trace, episode: int) -> bytes:
-    """The XML of an episode of a trace; positions are those of the trace."""
-    street = street_around(road, int(trace.street[episode]), trace.position_m[:, episode].reshape(-1, 2))
+def commonroad_scenario(scenario: ScenarioConfig, road: Road, trace: Trace, episode: int) -> bytes:
+    """The XML of an episode of a trace on the road of a scenario.
+
+    On a map all is in the map's coordinates: its street with all parked vehicles, a CommonRoad map with all its
+    lanelets. Elsewhere positions are those of the trace, and the street is its stretch around the drive.
+    """
+    drives, lanelets, number = trajectories(trace, episode), [], int(trace.street[episode])
+    if scenario.map is None:
+        street = street_around(road, number, trace.position_m[:, episode].reshape(-1, 2))
+    else:
+        street, lanelets = read_map(scenario.map), lanelets_of(scenario.map)
+        frame = map_frame(scenario.map, map_rules(scenario))
+        drives = [on_map(drive, frame) for drive in drives]
     names = (re.sub("[^A-Za-z0-9]", "", each) for each in (trace.setting, trace.planner))
-    benchmark_id = f"ZAM_{''.join(names)}-{street.name}_{episode + 1}_T-1"
+    benchmark_id = f"ZAM_{''.join(names)}-{number}_{episode + 1}_T-1"
     file = BytesIO()
-    write_commonroad(file, street, trajectories(trace, episode), trace.dt_s, benchmark_id, author="negopipe")
+    write_commonroad(file, street, drives, trace.dt_s, benchmark_id, "negopipe", lanelets)
     return file.getvalue()
+
+
+def on_map(drive: Trajectory, frame: MapFrame) -> Trajectory:
+    """A drive in the world as it is on the map."""
+    return replace(drive, position=frame.on_map(drive.position), heading=drive.heading + frame.heading)
 
 
 def trajectories(trace: Trace, episode: int) -> list[Trajectory]:

@@ -10,11 +10,13 @@ parking       vehicles lined up in parking areas and along a kerb
 assembly      a chain and its parked vehicles made to a street
 lanelet2      reader of lanelet2 maps (OSM XML)
 commonroad    reader of CommonRoad scenarios (XML 2018b and 2020a)
+lanelets      those of a CommonRoad scenario as they are written again
 recording     drives written as a CommonRoad scenario (2020a), and read again
 """
 
 from negopipe.maps.commonroad import read_commonroad
 from negopipe.maps.lanelet2 import read_lanelet2
+from negopipe.maps.lanelets import read_lanelets
 from negopipe.maps.parking import KerbsideRow, Parking, Side
 from negopipe.maps.recording import Trajectory, read_trajectories, write_commonroad
 from negopipe.maps.street import MapStreet, free_sides
@@ -28,6 +30,7 @@ __all__ = [
     "free_sides",
     "read_commonroad",
     "read_lanelet2",
+    "read_lanelets",
     "read_trajectories",
     "write_commonroad",
 ]

@@ -11,6 +11,7 @@ import numpy as np
 
 from negopipe.errors import UserError, abbreviate
 from negopipe.maps.commonroad import exact_value, point_of_state, read_scenario_root
+from negopipe.maps.lanelets import largest_id
 from negopipe.maps.street import Array, MapStreet, normals, to_plane
 from negopipe.maps.xml_file import number, whole_number
 
@@ -21,7 +22,7 @@ KINDS = ("car", "truck", "bus", "bicycle", "motorcycle", "pedestrian", "unknown"
 DECIMALS = 6
 """Digits after the point of written numbers, m, rad, m/s and s."""
 FIRST_VEHICLE = 1000
-"""Smallest id of an obstacle; the two lanelets are 1 and 2."""
+"""Smallest id of an obstacle, or else the first above those of the lanelets; the street's own two are 1 and 2."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +53,17 @@ def write_commonroad(
     dt_s: float,
     benchmark_id: str,
     author: str,
+    lanelets: Sequence[ElementTree.Element] = (),
 ) -> None:
-    """Write a drive as a CommonRoad scenario: both lanelets, parked vehicles, one dynamic obstacle per trajectory.
+    """Write a drive as a CommonRoad scenario: lanelets, parked vehicles, one dynamic obstacle per trajectory.
 
     to              the file, which is written anew
     dt_s            time from one step to the next
     benchmark_id    e.g. ZAM_Karlsruhe-1_1_T-1: country (ZAM for none), map, its number, configuration, T, number
 
-    The street's line is the bound between the lanelets; its kerbs are the outer ones. The first trajectory is the
+    lanelets        those of the map that the street is of (`read_lanelets`); none: the street's own two
+
+    The street's line is the bound between its two lanelets; its kerbs are the outer ones. The first trajectory is the
     ego's: a planning problem leads from its first to its last place. CommonRoad's schema wants trajectories that begin
     at step 0; its reader takes any.
     """
@@ -79,12 +83,16 @@ def write_commonroad(
     for key, unknown in (("geoNameId", "-999"), ("gpsLatitude", "999"), ("gpsLongitude", "999")):
         ElementTree.SubElement(location, key).text = unknown
     ElementTree.SubElement(ElementTree.SubElement(root, "scenarioTags"), "two_lane")
-    _add_lanelets(root, street)
-    _add_parked(root, street)
+    if lanelets:
+        root.extend(lanelets)
+    else:
+        _add_lanelets(root, street)
+    first = max(FIRST_VEHICLE, largest_id(lanelets) + 1)
+    _add_parked(root, street, first)
     for index, trajectory in enumerate(trajectories):
-        _add_trajectory(root, FIRST_VEHICLE + len(street.parked) + index, trajectory)
+        _add_trajectory(root, first + len(street.parked) + index, trajectory)
     if trajectories:
-        _add_planning_problem(root, FIRST_VEHICLE + len(street.parked) + len(trajectories), trajectories[0])
+        _add_planning_problem(root, first + len(street.parked) + len(trajectories), trajectories[0])
     ElementTree.indent(root)
     ElementTree.ElementTree(root).write(to, encoding="UTF-8", xml_declaration=True)
 
@@ -145,12 +153,13 @@ def _add_state(parent: ElementTree.Element, tag: str, place: Array, heading: flo
     _add_exact(state, "velocity", _text(speed))
 
 
-def _add_parked(root: ElementTree.Element, street: MapStreet) -> None:
+def _add_parked(root: ElementTree.Element, street: MapStreet, first: int) -> None:
+    """first: id of the first parked vehicle."""
     sigma, d, yaw, length, width = street.parked.T
     places, headings = to_plane(street, sigma, d)
     for index in range(len(street.parked)):
         size = (float(length[index]), float(width[index]))
-        obstacle = _add_obstacle(root, "staticObstacle", FIRST_VEHICLE + index, "parkedVehicle", size)
+        obstacle = _add_obstacle(root, "staticObstacle", first + index, "parkedVehicle", size)
         _add_state(obstacle, "initialState", places[index], _wrapped(headings[index] + yaw[index]), 0, 0.0)
 
 

@@ -56,13 +56,28 @@ def _built(road: RoadConfig, streets: StreetsConfig, footprints: Footprints, dev
 @lru_cache(maxsize=4)
 def _drawn(road: RoadConfig, streets: StreetsConfig, footprints: Footprints) -> tuple[StreetConfig, ...]:
     if not road.varies:
-        return (road.street,)
+        return (_checked(road.street, streets, footprints),)
     parts = ((streets.n_training, "training streets"), (streets.n_held_out, "held-out streets"))
     return tuple(
         street
         for n, name in parts
         for street in _drivable_streets(road, streets, footprints, n, generator(streets.seed, name))
     )
+
+
+def _checked(street: StreetConfig, streets: StreetsConfig, footprints: Footprints) -> StreetConfig:
+    """The only street; UserError where its width changes and its routes break the requirements of `streets`."""
+    if street.width_changes and not bool(_is_good(_by_table((street,), "cpu"), streets, footprints)):
+        widths = [street.width_m, *(change.width_m for change in street.width_changes)]
+        got = ", ".join(f"{width_m:g}" for width_m in widths)
+        raise UserError(f"scenario.road.width_changes must leave {_rule(streets)}, got widths of {got} m")
+    return street
+
+
+def _is_good(table: Streets, streets: StreetsConfig, footprints: Footprints) -> torch.Tensor:
+    """[B] bool: the largest vehicle of every kind can drive on a street by the requirements of `streets`."""
+    good = [is_drivable(table, size, streets.clearance_m, streets.curvature_max_1pm) for size in footprints]
+    return torch.stack(good).all(0)
 
 
 def _by_table(configs: tuple[StreetConfig, ...], device: torch.device | str) -> Streets:
@@ -79,11 +94,14 @@ def _drivable_streets(
     while len(found) >= n_drawn * LEAST_SHARE:
         drawn = tuple(road.draw(N_DRAWN, random))
         n_drawn += len(drawn)
-        table = _by_table(drawn, "cpu")
-        good = [is_drivable(table, size, streets.clearance_m, streets.curvature_max_1pm) for size in footprints]
-        is_good = torch.stack(good).all(0)
+        is_good = _is_good(_by_table(drawn, "cpu"), streets, footprints)
         found += [street for street, good in zip(drawn, is_good.tolist(), strict=True) if good]
         if len(found) >= n:
             return found[:n]
-    rule = f"streets.clearance_m = {streets.clearance_m} and curvature_max_1pm = {streets.curvature_max_1pm}"
-    raise UserError(f"scenario.road must leave streets with {rule}, {len(found)} of {n_drawn} do: {road.intervals}")
+    n_found = f"{len(found)} of {n_drawn} do"
+    raise UserError(f"scenario.road must leave streets with {_rule(streets)}, {n_found}: {road.intervals}")
+
+
+def _rule(streets: StreetsConfig) -> str:
+    """What routes must keep to, for a message."""
+    return f"streets.clearance_m = {streets.clearance_m} and curvature_max_1pm = {streets.curvature_max_1pm}"

@@ -3,8 +3,9 @@
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
+from xml.etree import ElementTree
 
-from negopipe.maps import KerbsideRow, MapStreet, Parking, read_commonroad, read_lanelet2
+from negopipe.maps import KerbsideRow, MapStreet, Parking, read_commonroad, read_lanelet2, read_lanelets
 from negopipe.schema import PathText, schema
 
 READERS = {"lanelet2": read_lanelet2, "commonroad": read_commonroad}
@@ -25,3 +26,8 @@ class MapConfig:
 def read_map(config: MapConfig) -> MapStreet:
     """The street with its parked vehicles; UserError where the file has none."""
     return READERS[config.format](Path(config.file), config.ids, config.parking, config.rows)
+
+
+def lanelets_of(config: MapConfig) -> list[ElementTree.Element]:
+    """The map's lanelets for a CommonRoad scenario; none where it is no CommonRoad map."""
+    return read_lanelets(Path(config.file)) if config.format == "commonroad" else []

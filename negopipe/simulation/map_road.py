@@ -1,12 +1,15 @@
-"""The road of a map: its street, cut where nobody could drive on, its routes checked."""
+"""The road of a map: its street, cut where nobody could drive on, its routes checked; and where it lies on the map."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from negopipe.errors import UserError
 from negopipe.maps import MapStreet
+from negopipe.maps.street import to_plane
 from negopipe.simulation.drivable import check_routes
 from negopipe.simulation.map_config import MapConfig, read_map
 from negopipe.simulation.map_street import MapRules, cut, narrow_places, street_of_map
@@ -18,6 +21,23 @@ N_CUTS = 20
 
 MARGIN_M = 5.0
 """Length of the street beyond what the tasks need, and that is cut off beside a place where nobody can drive, m."""
+
+
+@dataclass(frozen=True)
+class MapFrame:
+    """The world of a map's road, seen on the map.
+
+    origin: [2] float64, x, y of the world's origin, m
+    heading: of the world's x axis, rad
+    """
+
+    origin: np.ndarray
+    heading: float
+
+    def on_map(self, position: np.ndarray) -> np.ndarray:
+        """[..., 2] float64: places of the world on the map, m."""
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        return np.asarray(self.origin + position.astype(np.float64) @ np.array([[cos, sin], [-sin, cos]]))
 
 
 def map_rules(scenario: ScenarioConfig) -> MapRules:
@@ -48,8 +68,20 @@ def build_map_road(config: MapConfig, rules: MapRules, device: torch.device) -> 
 
     UserError: no such map or street, or a route without room or with too sharp a bend.
     """
-    path = Path(config.file)
-    return Streets([street_of_map(drivable_part(read_map(config), rules, path), rules, path)], device)
+    return Streets([street_of_map(_driven_part(config, rules), rules, Path(config.file))], device)
+
+
+def map_frame(config: MapConfig, rules: MapRules) -> MapFrame:
+    """Where the world of `build_map_road` lies on the map: its origin is in the middle of all narrow places."""
+    street = _driven_part(config, rules)
+    narrow = narrow_places(street, rules, Path(config.file))
+    (origin,), (heading,) = to_plane(street, np.array([(narrow[0, 0] + narrow[-1, 1]) / 2]), np.zeros(1))
+    return MapFrame(origin, float(heading))
+
+
+@lru_cache(maxsize=4)
+def _driven_part(config: MapConfig, rules: MapRules) -> MapStreet:
+    return drivable_part(read_map(config), rules, Path(config.file))
 
 
 def drivable_part(street: MapStreet, rules: MapRules, path: Path) -> MapStreet:

@@ -33,7 +33,7 @@ class OneStreet(Road):
         self.target_s_m = config.corridor_length_m + config.target_distance_m
         self.narrow_places = torch.tensor([[[0.0, config.corridor_length_m]]] * 2, device=device)
         self.n_places = torch.ones(1, dtype=torch.int64, device=device)
-        self._gap_middle_m = config.gap_middle_m(config.sides[0])
+        self._gap_middle_m = config.gap_middles_m[0]
         self._parked = park(config).to(device)
         sigma, d, length, width = self._parked.unbind(-1)
         yaw = self.reference.heading(sigma)
@@ -113,8 +113,7 @@ def park(config: StreetConfig) -> Tensor:
     size = torch.tensor([length, width]).expand(n, 2)
     from_middle = (config.corridor_gap_m + width) / 2
     rows = []
-    for (start, end), sides in zip(config.corridors_m, config.sides, strict=True):
-        middle = config.gap_middle_m(sides)
+    for (start, end), sides, middle in zip(config.corridors_m, config.sides, config.gap_middles_m, strict=True):
         for side in sides:
             d = torch.full((n, 1), middle + side * from_middle)
             rows.append(torch.cat([along[:, None] + (start + end) / 2, d, size], dim=1))
@@ -130,7 +129,8 @@ def _irregular(cars: Tensor, config: StreetConfig) -> Tensor:
     at = torch.arange(len(cars)) % n
     is_end = (at == 0) | (at == n - 1)
     room_m = (config.corridor_length_m - n * length) / max(n - 1, 1) / 2  # to the middle of the space to the next car
-    to_kerb_m = (config.width_m / 2 - width / 2 - cars[:, 1].abs()).clamp(min=0)
+    room_across_m = (config.width_at(cars[:, 0].double()) / 2 - width / 2).float()
+    to_kerb_m = (room_across_m - cars[:, 1].abs()).clamp(min=0)
     shift = torch.where(is_end, 0.0, config.parked_irregularity * (2 * ahead - 1) * room_m)
     inward = torch.where(is_end, 0.0, config.parked_irregularity * aside)
     moved = torch.stack(

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 import torch
 from pydantic import AfterValidator, Field, model_validator
+from torch import Tensor
 
 from negopipe.errors import UserError
 from negopipe.schema import (
@@ -20,8 +21,12 @@ from negopipe.schema import (
     schema,
 )
 from negopipe.simulation.reference_line import Bend, check_bends
+from negopipe.simulation.road_width import WidthChange, check_width_changes, width_at
 
 ParkedSides = Literal["both", "left", "right", "alternating"]
+
+LISTS = ("bends", "width_changes")
+"""Fields of a road that are lists, each of whose items has sizes of its own."""
 
 N_TRIES = 1000
 """Draws of a street until one fits."""
@@ -48,6 +53,20 @@ class BendConfig:
     angle_deg: Annotated[RealRange, AfterValidator(_is_a_turn)]
 
 
+@schema
+class WidthChangeConfig:
+    """A change of the road's width, the same at both kerbs, along the jerk-optimal step.
+
+    start_m: arc length from the corridor's middle at which the change begins
+    length_m: arc length over which the width changes
+    width_m: distance from kerb to kerb behind it, until the next change
+    """
+
+    start_m: RealRange
+    length_m: SizeRange
+    width_m: SizeRange
+
+
 @dataclass(frozen=True)
 class StreetConfig:
     """Sizes of one street in metres; `conf/scenario/narrow_lane.yaml` says what each value means.
@@ -57,6 +76,7 @@ class StreetConfig:
 
     bends: tuple[Bend, ...]
     width_m: float
+    width_changes: tuple[WidthChange, ...]
     lane_offset_m: float
     corridor_length_m: float
     corridor_gap_m: float
@@ -75,11 +95,11 @@ class StreetConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError unless everything fits into the street."""
-        needed = self.corridor_gap_m + (2 if self.parked_sides == "both" else 1) * self.parked_car_width_m
-        if needed > self.width_m + 1e-6:
+        needed, narrowest = self._needed_m, min(self.widths_m)
+        if needed > narrowest + 1e-6:
             raise ValueError(
                 f"corridor_gap_m {self.corridor_gap_m} and parked_car_width_m {self.parked_car_width_m} need a "
-                f"width_m of at least {needed:g} with parked_sides {self.parked_sides}, got {self.width_m}"
+                f"width_m of at least {needed:g} with parked_sides {self.parked_sides}, got {narrowest}"
             )
         if self.n_parked_per_side * self.parked_car_length_m > self.corridor_length_m + 1e-6:
             raise ValueError(
@@ -91,12 +111,30 @@ class StreetConfig:
                 f"between_corridors_m must be at least swerve_length_m + 2 swerve_margin_m = "
                 f"{self.swerve_length_m + 2 * self.swerve_margin_m:g}, got {self.between_corridors_m}"
             )
-        check_bends(self.bends, self.width_m)
+        check_bends(self.bends, max(self.width_m, *(change.width_m for change in self.width_changes), 0.0))
+        check_width_changes(self.width_changes, self.corridors_m)
+
+    @property
+    def _needed_m(self) -> float:
+        """Width of the road that its parked cars and the gap need."""
+        return self.corridor_gap_m + (2 if self.parked_sides == "both" else 1) * self.parked_car_width_m
 
     @property
     def is_closed_form(self) -> bool:
-        """Whether `OneStreet` can compute it: one corridor of evenly parked cars."""
-        return self.n_corridors == 1 and self.parked_empty_share == 0 and self.parked_irregularity == 0
+        """Whether `OneStreet` can compute it: one width, one corridor of evenly parked cars."""
+        is_even = self.parked_empty_share == 0 and self.parked_irregularity == 0 and not self.width_changes
+        return self.n_corridors == 1 and is_even
+
+    def width_at(self, sigma: Tensor) -> Tensor:
+        """[...] m: distance from kerb to kerb at sigma [...]."""
+        return width_at(sigma, self.width_m, self.width_changes)
+
+    @property
+    def widths_m(self) -> list[float]:
+        """Width of the road at each corridor."""
+        middles = [(first + last) / 2 for first, last in self.corridors_m]
+        at: list[float] = self.width_at(torch.tensor(middles, dtype=torch.float64)).tolist()
+        return at
 
     @property
     def corridors_m(self) -> list[tuple[float, float]]:
@@ -112,14 +150,17 @@ class StreetConfig:
             return [(1,) if i % 2 == 0 else (-1,) for i in range(self.n_corridors)]
         return [{"both": (-1, 1), "left": (1,), "right": (-1,)}[self.parked_sides]] * self.n_corridors
 
-    def gap_middle_m(self, sides: tuple[int, ...]) -> float:
-        """d (m) of the middle line between the cars parked on `sides`, or between them and the opposite kerb."""
-        return -sum(sides) * (self.width_m - self.corridor_gap_m) / 2
+    @property
+    def gap_middles_m(self) -> list[float]:
+        """d (m) of each corridor's middle line: between the parked cars, or between them and the opposite kerb."""
+        places = zip(self.sides, self.widths_m, strict=True)
+        return [-sum(sides) * (width_m - self.corridor_gap_m) / 2 for sides, width_m in places]
 
     @property
     def reach_m(self) -> float:
         """Distance from the corridor's middle beyond which the street is straight and empty, m."""
         ends = [abs(sigma) for bend in self.bends for sigma in (bend.start_m, bend.start_m + bend.length_m)]
+        ends += [abs(sigma) for change in self.width_changes for sigma in (change.start_m, change.end_m)]
         return max([self.corridors_m[-1][1] + self.swerve_margin_m + self.swerve_length_m, *ends])
 
 
@@ -150,6 +191,7 @@ class RoadConfig:
 
     bends: tuple[BendConfig, ...]
     width_m: SizeRange
+    width_changes: tuple[WidthChangeConfig, ...]
     lane_offset_m: SizeRange
     corridor_length_m: SizeRange
     corridor_gap_m: SizeRange
@@ -172,17 +214,22 @@ class RoadConfig:
         return self
 
     @property
+    def _sizes(self) -> dict[str, Any]:
+        """Its sizes by name, without those of bends and of changes of the width."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name not in LISTS}
+
+    @property
     def varies(self) -> bool:
         """Whether streets differ: an interval, several sides, or cars parked irregularly."""
-        values = [getattr(self, field.name) for field in fields(self) if field.name != "bends"]
-        values += [value for bend in self.bends for value in (bend.start_m, bend.length_m, bend.angle_deg)]
+        changes: tuple[Any, ...] = (*self.bends, *self.width_changes)
+        values = [*self._sizes.values(), *(getattr(each, field.name) for each in changes for field in fields(each))]
         is_drawn = any(isinstance(value, tuple) for value in values)
         return is_drawn or self.parked_empty_share != 0 or self.parked_irregularity != 0
 
     @property
     def intervals(self) -> str:
         """The sizes that streets are drawn with, for a message."""
-        drawn = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "bends"}
+        drawn = self._sizes
         texts = {name: list(value) for name, value in drawn.items() if isinstance(value, tuple)}
         texts |= {name: drawn[name] for name in ("parked_empty_share", "parked_irregularity") if drawn[name] != 0}
         return ", ".join(f"{name} {value}" for name, value in texts.items())
@@ -220,7 +267,11 @@ class RoadConfig:
                 return int(torch.randint(low, high + 1, (), generator=generator))
             return low + (high - low) * float(torch.rand((), generator=generator, dtype=torch.float64))
 
-        drawn = {field.name: number(getattr(self, field.name)) for field in fields(self) if field.name != "bends"}
+        drawn = {name: number(value) for name, value in self._sizes.items()}
         bends = tuple(Bend(*(number(getattr(bend, field.name)) for field in fields(bend))) for bend in self.bends)
+        changes = tuple(
+            WidthChange(*(number(getattr(change, field.name)) for field in fields(change)))
+            for change in self.width_changes
+        )
         seed = int(torch.randint(2**31, (), generator=generator)) if self.varies else 0
-        return StreetConfig(bends=bends, **drawn, parked_seed=seed)
+        return StreetConfig(bends=bends, width_changes=changes, **drawn, parked_seed=seed)

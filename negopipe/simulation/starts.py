@@ -102,7 +102,7 @@ class _Starts:
         nearest_m, width_m = float(distance.expand_as(touches)[touches].min()), self.size.width
         farther = nearest_m + torch.arange(0, SEARCHED_M, STEP_M)
         clear = farther[~self._touches(farther, direction, self.size).any(0)]
-        lane_m = min((street.width_m - 2 * street.lane_offset_m for street in self.streets), default=0.0)
+        lane_m = min((min(street.widths_m) - 2 * street.lane_offset_m for street in self.streets), default=0.0)
         if self.streets and not len(clear) and width_m > lane_m:
             rule = f"be at most scenario.road.width_m - 2 lane_offset_m = {lane_m:g}, the width of a lane"
             yield Problem("scenario.vehicle.width_m", rule, width_m)

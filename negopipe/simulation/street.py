@@ -66,7 +66,7 @@ class Street:
         line, sigma = Course(config.bends), torch.from_numpy(knots(reach_m))
         return Street(
             curvature=torch.stack(line.curvature(sigma), -1).numpy(),
-            kerbs=np.full((2, len(sigma)), config.width_m / 2),
+            kerbs=np.tile(config.width_at(sigma).numpy() / 2, (2, 1)),
             routes=np.stack([_route(config, sigma.numpy(), way) for way in (1.0, -1.0)]),
             parked=park(config).double().numpy(),
             narrow=_narrow_places(config),
@@ -94,7 +94,7 @@ def _steps(config: StreetConfig, lane_m: float) -> list[tuple[float, float]]:
     """
     before_m = config.swerve_margin_m + config.swerve_length_m / 2
     steps, at_m = [], lane_m
-    places = list(zip(config.corridors_m, (config.gap_middle_m(sides) for sides in config.sides), strict=True))
+    places = list(zip(config.corridors_m, config.gap_middles_m, strict=True))
     for index, ((first, last), middle_m) in enumerate(places):
         if index == 0 or _has_lane_between(config):
             steps.append((first - before_m, middle_m - at_m))

@@ -64,7 +64,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     files = {
         "gif": animation.animate([trace], 0, scene, config.report.animation_fps, fixed_s, policy_trace),
         "png": animation.still([trace], 0, scene, trace.n_steps[0] * trace.dt_s / 3, fixed_s, policy_trace),
-        "xml": commonroad_scenario(game.simulator.road, trace, 0),
+        "xml": commonroad_scenario(config.scenario, game.simulator.road, trace, 0),
     }
     for suffix, data in files.items():
         path = folder / f"{name}.{suffix}"

@@ -32,7 +32,7 @@ def test_a_drive_is_read_again_as_it_was(name: str, tmp_path: Path) -> None:
     trace = drive_episodes(game, by_horizon(game, fixed_horizon(4.0)), tasks, 2, reward, ("fixed_4", "mixture"))
     for episode in range(2):
         path = tmp_path / f"{episode}.xml"
-        path.write_bytes(commonroad_scenario(road, trace, episode))
+        path.write_bytes(commonroad_scenario(config.scenario, road, trace, episode))
         dt_s, read = read_trajectories(path)
         assert dt_s == config.scenario.dt_s
         assert len(read) == config.scenario.n_vehicles

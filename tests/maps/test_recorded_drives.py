@@ -1,13 +1,11 @@
 """Drives written as CommonRoad scenarios: read again equal, and accepted by commonroad-io where it is at hand."""
 
-import json
-import os
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commonroad_io import read_by_commonroad_io
 from drawn_maps import PARKING, commonroad_map, written
 from map_measures import assert_is_sound
 
@@ -24,8 +22,6 @@ from negopipe.maps import (
 from negopipe.maps.boxes import corners_of_parked
 from negopipe.maps.street import to_plane
 
-COMMONROAD_PYTHON = "COMMONROAD_PYTHON"
-"""Environment variable: the Python of an environment with commonroad-io and lxml."""
 NAME = "ZAM_Drawn-1_1_T-1"
 
 
@@ -116,16 +112,9 @@ def test_a_recording_that_is_broken(tmp_path: Path, street: MapStreet, before: s
 
 @pytest.mark.slow
 def test_commonroad_io_accepts_the_recording(tmp_path: Path, street: MapStreet) -> None:
-    python = os.environ.get(COMMONROAD_PYTHON)
-    if not python:
-        pytest.skip(f"{COMMONROAD_PYTHON} names no Python with commonroad-io and lxml")
     before = [replace(drive, first_step=0) for drive in drives(street)]
     path = write(tmp_path / "drive.xml", street, before)
-    environment = {**os.environ, "PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION": "python", "PYTHONPATH": ""}
-    script = Path(__file__).with_name("commonroad_io_reads.py")
-    run = subprocess.run([python, script, path], env=environment, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    seen = json.loads(run.stdout)
+    seen = read_by_commonroad_io(path)
     assert seen["schema_errors"] == []
     assert np.abs(np.array(seen["ego"]) - before[0].position[[0, -1]]).max() < 0.01
     assert (seen["name"], seen["dt_s"], seen["lanelets"]) == (NAME, 0.2, [1, 2])

@@ -105,6 +105,16 @@ def test_all_figures_are_written_under_their_names(
     assert len(re.findall(r"^│ eager", shown, flags=re.MULTILINE)) == 2
 
 
+def test_a_cell_on_drawn_streets() -> None:
+    streets = ("scenario=random_streets", "scenario.streets.n_training=2", "scenario.streets.n_held_out=2")
+    config = compose_config([*TINY, *streets])
+    figures = measure_cell(config, "eager", 4)
+    assert set(figures) == {f"eager.4.{name}" for name in EVERY_CELL - {"decisions_per_s_per_gflops", "share_of_limit"}}
+    machine = {"reference.matmul_gflops": 1.0, "reference.copy_gb_per_s": 1.0}
+    assert figures["eager.4.decisions_per_s"] > 0
+    assert all(value > 0 for value in benchmark.limits(config, ["cpu"], machine).values())
+
+
 @pytest.mark.slow
 def test_the_tracking_share_grows_with_what_is_kept(tiny: RunConfig, tmp_path: Path) -> None:
     """A snapshot after every iteration costs more than one a minute."""
