@@ -35,7 +35,7 @@ def gap_m(built: tuple[RunConfig, Game], driver: str, s: list[float], speed: lis
     return rule.hindrance(game.simulator)(perception, encounter(game.simulator.road, perception)).gap_m.item()
 
 
-@pytest.mark.parametrize("driver", ["cautious"])
+@pytest.mark.parametrize("driver", ["cautious", "direction_first"])
 def test_who_rests_on_the_route_is_in_the_way(one_sided: tuple[RunConfig, Game], driver: str) -> None:
     """From the mouth, with another one before its own mouth, 12 m farther."""
     assert gap_m(one_sided, driver, [0.0, -7.7], [5.0, 0.0]) == pytest.approx(12.0 + 7.7 - CAR_M, abs=1e-3)
