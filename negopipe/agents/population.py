@@ -190,6 +190,11 @@ def is_learner(driver: object) -> bool:
     return isinstance(driver, SelfDriver) and driver.action == "sample"
 
 
+def is_plain(driver: object) -> bool:
+    """Whether a driver is the attentive planner in the styles of the families."""
+    return isinstance(driver, PlannerStyle) and not (driver.is_own or driver.reaction_s[1] or driver.lapse_share)
+
+
 def _entries(population: PopulationConfig) -> Iterator[tuple[str, float, object]]:
     """Name, weight and driver of everybody; the members of a league share its weight."""
     for name, each in population.drivers.items():

@@ -17,7 +17,7 @@ from negopipe.simulation.collisions import PASSING_M
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.simulator import Simulator
-from negopipe.simulation.state import Motion
+from negopipe.simulation.state import AT_REST_MPS, Motion
 from negopipe.simulation.waiting_place import ROOM_M, waiting_places
 from negopipe.tensors.tree import map_tensors
 
@@ -25,6 +25,8 @@ FREE_M = 1e3
 """Gap of a vehicle without an obstacle ahead, m."""
 LEAST_GAP_M = 0.1
 """Smallest gap by which the model divides, m."""
+CLOSE_M = 0.1
+"""Room on either side of a vehicle at rest that is too little to pass it, m."""
 
 
 @schema
@@ -94,16 +96,32 @@ def nose_to_nose(met: Encounter) -> Hindrance:
 
 
 def on_route(simulator: Simulator, perception: Perception, met: Encounter) -> Hindrance:
-    """The nearest oncoming vehicle that stands on the own route now, or is nose to nose in the corridor."""
+    """The nearest oncoming vehicle that is on the own route now, or is nose to nose in the corridor."""
+    in_the_way = is_on_route(simulator, perception, met, PASSING_M)
+    on_it = _nearest_of(met, in_the_way, met.apart_m - met.touch_m, met.other_speed)
+    return nearest(on_it, nose_to_nose(met))
+
+
+def resting_on_route(simulator: Simulator, perception: Perception, met: Encounter) -> Hindrance:
+    """The nearest oncoming vehicle that rests on the own route, or is nose to nose in the corridor."""
+    rests = met.other_speed.abs() < AT_REST_MPS
+    in_the_way = rests & is_on_route(simulator, perception, met, CLOSE_M)
+    on_it = _nearest_of(met, in_the_way, met.apart_m - met.touch_m, met.other_speed)
+    return nearest(on_it, nose_to_nose(met))
+
+
+def is_on_route(simulator: Simulator, perception: Perception, met: Encounter, room_m: float) -> Tensor:
+    """[E, S, O] bool: oncoming vehicles ahead that an agent on its route cannot pass where they are now.
+
+    room_m: that it needs on either side
+    """
     sizes, shape = simulator.sizes, met.apart_m.shape
     others = map_tensors(lambda field: field.flatten(0, 1), perception.other)
     direction = perception.direction.flatten()[:, None]
     size = sizes.of(perception.other_length.flatten(0, 1), perception.other_width.flatten(0, 1))
     own = sizes.of(perception.length.flatten()[:, None], perception.width.flatten()[:, None])
-    stands_on_route = simulator.collisions.stands_on_route(others, size, direction, own, PASSING_M)
-    in_the_way = met.is_oncoming & stands_on_route.reshape(shape) & (met.apart_m > 0)
-    on_it = _nearest_of(met, in_the_way, met.apart_m - met.touch_m, met.other_speed)
-    return nearest(on_it, nose_to_nose(met))
+    stands_on_route = simulator.collisions.stands_on_route(others, size, direction, own, room_m)
+    return met.is_oncoming & stands_on_route.reshape(shape) & (met.apart_m > 0)
 
 
 class StopLines:
@@ -126,10 +144,18 @@ class StopLines:
 
     def hindrance(self, met: Encounter, must_wait: Tensor, direction: Tensor) -> Hindrance:
         """The line of agents that `must_wait` [E, S]; it counts also past it, as long as the other can still pass."""
+        latest_m, wanted_m = (self._left_m(each, met, direction) for each in (self._latest, self._wanted))
+        can_wait = latest_m > -LEAST_GAP_M
+        return Hindrance(torch.where(must_wait & can_wait, wanted_m + self._gap_m, FREE_M), met.own.s_dot)
+
+    def can_stop(self, met: Encounter, direction: Tensor, decel_mps2: float) -> Tensor:
+        """[E, S] bool: with this deceleration an agent comes to rest where the others can still pass it."""
+        return met.own.s_dot**2 / (2 * decel_mps2) < self._left_m(self._latest, met, direction)
+
+    def _left_m(self, places: Tensor, met: Encounter, direction: Tensor) -> Tensor:
+        """[E, S] m: distance of agents to places of `waiting_places`."""
         s = met.own.s + self._sizes.longer_m(met.own_m[..., 0])
-        latest, wanted = (self._road.of_place(each, self._ends, s, direction) for each in (self._latest, self._wanted))
-        can_wait, left = s < latest + LEAST_GAP_M, wanted - s
-        return Hindrance(torch.where(must_wait & can_wait, left + self._gap_m, FREE_M), met.own.s_dot)
+        return self._road.of_place(places, self._ends, s, direction) - s
 
 
 def nearest(a: Hindrance, b: Hindrance) -> Hindrance:

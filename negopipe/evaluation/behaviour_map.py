@@ -1,4 +1,6 @@
-"""The behaviour map: results of every pair of an ego's horizon and a social style, and the test of claim 8 on them.
+"""The behaviour map: results of every pair of an ego's horizon and an opponent, and the test of claim 8 on them.
+
+An opponent is a style of the planner, or a driver of the population.
 
 Claim 8: a shorter prediction horizon gives more aggressive driving, that is passing first more often and coming closer
 (docs/reading.md, "claim 8").
@@ -7,7 +9,7 @@ Claim 8: a shorter prediction horizon gives more aggressive driving, that is pas
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -26,6 +28,7 @@ BEHAVIOUR_MAP = CsvKind(
         "setting": str,
         "ego_horizon_s": float,
         "social_style_s": float,
+        "social_driver": str,
         "n_episodes": int,
         "success_rate": float,
         "collision_rate": float,
@@ -42,6 +45,8 @@ BEHAVIOUR_MAP = CsvKind(
     },
 )
 """behaviour_map.csv: a row per `cell`."""
+NEEDED = tuple(column for column in BEHAVIOUR_MAP.columns if column != "social_driver")
+"""Columns of every map: those of earlier versions know no drivers."""
 
 MEASURED = (
     *("outcome", "n_decisions", "ego_time_s", "social_time_s", "suspend_count", "suspend_time_s"),
@@ -72,10 +77,21 @@ class BehaviourMapConfig:
         return Memory("the map", n_bytes, tuple(keys.split()))
 
 
-def cell(drives: Drives, ego_horizon_s: float, social_style_s: float) -> dict[str, Any]:
-    """One row of the map: the episodes of one horizon of the ego against one style.
+class Opponent(NamedTuple):
+    """Who drives the social vehicles: the planner with one style, or a driver of the population.
 
-    setting, ego_horizon_s, social_style_s, n_episodes
+    style_s: NaN for a driver of the population
+    driver: its name; empty for a style
+    """
+
+    style_s: float
+    driver: str
+
+
+def cell(drives: Drives, ego_horizon_s: float, opponent: Opponent) -> dict[str, Any]:
+    """One row of the map: the episodes of one horizon of the ego against one opponent.
+
+    setting, ego_horizon_s, social_style_s, social_driver, n_episodes
     success_rate, collision_rate, deadlock_rate, other_timeout_rate, social_collision_rate: shares of the episodes,
         which sum to 1
     ego_time_s, social_time_s: mean times until the target was reached, over arrivals; NaN without an arrival
@@ -90,7 +106,8 @@ def cell(drives: Drives, ego_horizon_s: float, social_style_s: float) -> dict[st
     return {
         "setting": drives.trace.setting,
         "ego_horizon_s": ego_horizon_s,
-        "social_style_s": social_style_s,
+        "social_style_s": opponent.style_s,
+        "social_driver": opponent.driver,
         "n_episodes": len(rows),
         "success_rate": share["success"],
         "collision_rate": share["collision"],
@@ -132,7 +149,8 @@ class Trend:
 def trends(table: pd.DataFrame) -> list[Trend]:
     """Claim 8 for every measure, setting and style, from rows of `cell`.
 
-    An infinite horizon of the ego is left out: it has a rule of its own, and the claim is about lengths.
+    An infinite horizon of the ego is left out: it has a rule of its own, and the claim is about lengths. So are the
+    drivers of a population, which have no style.
     """
     found = []
     for measure, (sign, tolerance) in CLAIMED.items():

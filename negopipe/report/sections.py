@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, trends
+from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, NEEDED, trends
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.report import animation, figures, outcome_figures
 from negopipe.report.captions import NOT_TRAINED, WATCH, caption
@@ -214,7 +214,7 @@ def behaviour_section(
         writer.figure("horizons_along", along, *caption("horizons_along")),
     ]
     if behaviour_map.is_file():
-        table = read_csv(behaviour_map, BEHAVIOUR_MAP, BEHAVIOUR_MAP.columns)
+        table = read_csv(behaviour_map, BEHAVIOUR_MAP, NEEDED)
         words = caption("behaviour_map", verdict=map_reading(trends(table)))
         items.insert(0, writer.figure("behaviour_map", map_figure(table), *words))
     return Section("Behaviour", "", items)

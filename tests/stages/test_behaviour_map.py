@@ -15,7 +15,7 @@ from negopipe.agents.driver import fixed_horizon
 from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.config.root import RunConfig, run_name
 from negopipe.errors import UserError
-from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, claims, trends
+from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, Opponent, claims, trends
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.safety import footprints, smallest_gap
@@ -54,7 +54,7 @@ def test_rows_agree_with_the_drives(ran: RecordedRun) -> None:
     game = build_game(config)
     columns = {"timeout": "other_timeout_rate"} | {name: f"{name}_rate" for name in OUTCOMES[:3]}
     for row in table[table["setting"] == "push"].to_dict("records"):
-        tasks = behaviour_map.map_tasks(config, game, "push", row["social_style_s"])
+        tasks = behaviour_map.map_tasks(config, game, "push", Opponent(row["social_style_s"], ""))
         choose = fixed_horizon(row["ego_horizon_s"])
         trace = drive_episodes(game, by_horizon(game, choose), tasks, 1, config.evaluation.reward, ("again", "push"))
         again = episodes(Drives.of(config, trace))
@@ -99,9 +99,46 @@ def test_every_style_meets_the_tasks_of_the_evaluation(config: RunConfig, game: 
     as_many = compose_config(["device=cpu", gaps, f"behaviour_map.n_episodes={config.evaluation.n_episodes}"])
     own = held_out_tasks(as_many, game, "yield")
     for style_s in (0.0, 4.0):
-        tasks = behaviour_map.map_tasks(as_many, game, "yield", style_s)
+        tasks = behaviour_map.map_tasks(as_many, game, "yield", Opponent(style_s, ""))
         assert torch.equal(tasks.start_distance, own.start_distance)
         assert (tasks.style_horizon[:, 1:] == style_s).all()
+
+
+@pytest.fixture(scope="module")
+def mixed() -> tuple[RunConfig, Game]:
+    drivers = "population/driver=[planner,cautious,undecided,idm]"
+    one = ("behaviour_map.styles_s=[6.0]", "evaluation.settings=[yield]")
+    config = tiny(*one, drivers, "population.drivers.idm.weight=0.0")
+    return config, build_game(config)
+
+
+def test_drivers_of_the_population_have_rows_of_their_own(mixed: tuple[RunConfig, Game]) -> None:
+    config, game = mixed
+    table = behaviour_map.drive_map(config, game)
+    whom = [("", 0.0), ("", 6.0), ("cautious", 0.0), ("cautious", 6.0), ("undecided", 0.0), ("undecided", 6.0)]
+    assert list(zip(table["social_driver"], table["ego_horizon_s"], strict=True)) == whom
+    assert table["social_style_s"].isna().tolist() == [False] * 2 + [True] * 4
+    assert table.loc[2, "success_rate"] == 1.0  # cautious waits for an ego that does not look
+    assert {finding.social_style_s for finding in trends(table)} == {6.0}
+    alone = tiny("behaviour_map.styles_s=[6.0]", "evaluation.settings=[yield]")
+    pd.testing.assert_frame_equal(behaviour_map.drive_map(alone, build_game(alone)), table[:2])
+
+
+def test_every_driver_meets_the_starts_of_the_styles(mixed: tuple[RunConfig, Game]) -> None:
+    config, game = mixed
+    style, driver = (
+        behaviour_map.map_tasks(config, game, "yield", Opponent(*each)) for each in ((6.0, ""), (math.nan, "cautious"))
+    )
+    assert torch.equal(style.start_distance, driver.start_distance)
+    assert torch.equal(style.noise_seed, driver.noise_seed)
+    assert game.cast.named(driver.casting.driver).tolist() == [["", "cautious"]] * 2
+
+
+def test_the_figure_names_the_drivers(mixed: tuple[RunConfig, Game]) -> None:
+    config, game = mixed
+    figure = draw(behaviour_map.drive_map(config, game))
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["6", "cautious", "undecided"]
+    assert figure.get_supylabel() == "social driver: prediction horizon [s] or name"
 
 
 def make_table(first: list[float], gap: list[float]) -> pd.DataFrame:

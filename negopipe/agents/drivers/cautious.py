@@ -1,4 +1,8 @@
-"""Cautious driver: it follows its route and enters the corridor only if it can leave it before the other enters."""
+"""Cautious driver: it follows its route and enters the corridor only if it can leave it before the other enters.
+
+Who is nearly at rest beyond its waiting place is far from the corridor in time, but stands where nobody can pass it.
+So the driver also waits for whoever is there already if it can still stop, and brakes for whoever rests in its way.
+"""
 
 from collections.abc import Callable
 from typing import Literal
@@ -11,12 +15,14 @@ from negopipe.agents.route_following import (
     Hindrance,
     RouteFollowingConfig,
     StopLines,
+    is_on_route,
     nearest,
-    nose_to_nose,
+    resting_on_route,
 )
 from negopipe.schema import NonNegativeFloat, Real, schema
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.simulator import Simulator
+from negopipe.simulation.waiting_place import ROOM_M, Passage
 
 LONG_S = 1e3
 """Travel time of a standing vehicle, s."""
@@ -32,11 +38,19 @@ class Config(RouteFollowingConfig):
 
     def hindrance(self, simulator: Simulator) -> Callable[[Perception, Encounter], Hindrance]:
         lines = StopLines(simulator, self.stop_s_m, self.gap_m)
+        passage = Passage.of(simulator.collisions, simulator.sizes)
+
+        def is_taken(perception: Perception, met: Encounter) -> Tensor:
+            """[E, S] bool: another vehicle is in the passage, where it leaves too little room to pass it."""
+            left_m = passage.leaving_s(met.own.s, perception.direction, perception.length) - met.own.s
+            is_there = met.apart_m < left_m[..., None]
+            return (is_there & is_on_route(simulator, perception, met, ROOM_M)).any(-1)
 
         def hindered(perception: Perception, met: Encounter) -> Hindrance:
-            must_wait = self.must_wait(met, perception.desired_speed)
+            can_stop = lines.can_stop(met, perception.direction, self.braking_max_mps2)
+            must_wait = self.must_wait(met, perception.desired_speed) | (is_taken(perception, met) & can_stop)
             line = lines.hindrance(met, must_wait, perception.direction)
-            return nearest(line, nose_to_nose(met))
+            return nearest(line, resting_on_route(simulator, perception, met))
 
         return hindered
 

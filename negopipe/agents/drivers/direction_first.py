@@ -16,7 +16,7 @@ from negopipe.agents.route_following import (
     RouteFollowingConfig,
     StopLines,
     nearest,
-    nose_to_nose,
+    resting_on_route,
 )
 from negopipe.schema import Real, schema
 from negopipe.simulation.perception import Perception
@@ -40,7 +40,7 @@ class Config(RouteFollowingConfig):
         def hindered(perception: Perception, met: Encounter) -> Hindrance:
             must_wait = (road.sign(perception.direction) != road.pick(first, perception.direction)) & _is_met(met)
             line = lines.hindrance(met, must_wait, perception.direction)
-            return nearest(line, nose_to_nose(met))
+            return nearest(line, resting_on_route(simulator, perception, met))
 
         return hindered
 
