@@ -17,6 +17,7 @@ from negopipe import load_config
 from negopipe.agents.driver import MakeDriver, fixed_horizon
 from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.config.root import RunConfig
+from negopipe.evaluation.behaviour_map import Opponent
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.game.game import Game
@@ -70,7 +71,7 @@ def driven(config: RunConfig, game: Game) -> pd.DataFrame:
     }
     for own_s, other_s in (STYLES_S, STYLES_S[::-1]):
         ego = by_horizon(game, fixed_horizon(own_s))
-        same = drive(config, game, ego, map_tasks(config, game, SETTING, other_s), f"fixed_{own_s:g}")
+        same = drive(config, game, ego, map_tasks(config, game, SETTING, Opponent(other_s, "")), f"fixed_{own_s:g}")
         is_same = np.array_equal(same.street, trace.street)
         if not (is_same and np.allclose(same.start_distance_m, trace.start_distance_m)):
             raise ValueError("the planners must drive the tasks of the mixture, with styles of their own")
