@@ -45,10 +45,11 @@ def job_commands() -> list[list[str]]:
 
 @pytest.mark.parametrize("option", OPTIONS, ids=str)
 def test_every_option_composes_and_builds(option: Path) -> None:
-    plus = "+" if option.parts[0] == "experiment" else ""
+    plus = "+" if option.parts[0] in ("experiment", "unseen") else ""
     beside = ["report.side_by_side=[]"] if option.parent.name == "baseline" else []
     beside += ["planner=consistent_stops"] if option.name.endswith("_inf") else []
     beside += OBJECTS if option.name == "objects" else []
+    beside += ["+experiment=unseen"] if option.parts[0] == "unseen" else []
     build(*beside, f"{plus}{option.parent}={option.name}")
 
 

@@ -23,7 +23,7 @@ def config(*options: str) -> Config:
 
 
 def case(name: str) -> Config:
-    return config("+experiment=unseen", f"+unseen={name}", "checkpoint=none.safetensors")
+    return config("+experiment=unseen", f"+unseen={name}")
 
 
 def interval(value: Any) -> tuple[float, float]:
