@@ -18,6 +18,8 @@ from negopipe.search.oracle import Rollouts, Sequences, alike, best_simple, cand
 from negopipe.simulation.state import Task
 from negopipe.tensors.tree import map_tensors
 
+pytestmark = pytest.mark.slow  # the fast tests of the oracle stage search, too
+
 
 @pytest.fixture(scope="module", autouse=True)
 def few_switches() -> Iterator[None]:
@@ -67,7 +69,6 @@ def test_no_round_makes_it_worse(found: list[Sequences], rollouts: Rollouts, tas
     assert (found[-1].score > found[0].score).any()
 
 
-@pytest.mark.slow
 def test_same_seed_same_result(found: list[Sequences], rollouts: Rollouts, tasks: Task) -> None:
     random = torch.Generator().manual_seed(0)
     again = improve(rollouts, tasks, found[0], 4, random)
@@ -114,7 +115,6 @@ class Held(Rollouts):
         return replace(played, actions=actions, n_steps=n_decisions)
 
 
-@pytest.mark.slow
 def test_it_finds_the_best_of_all_sequences(config: RunConfig, game: Game, tasks: Task) -> None:
     rollouts = Held(config, game)
     every = torch.tensor(list(product(range(4), repeat=3)))

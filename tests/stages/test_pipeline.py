@@ -87,6 +87,7 @@ def test_same_seed_same_numbers(outputs: Path, tmp_path: Path, command: Command)
         assert (only_run(outputs) / name).read_bytes() == (only_run(tmp_path) / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_evaluation_alone_from_a_checkpoint(outputs: Path, tmp_path: Path, command: Command) -> None:
     checkpoint = only_run(outputs) / "checkpoint.safetensors"
     done = negopipe(
