@@ -26,8 +26,10 @@ from negopipe.runtime.build import game_of
 from negopipe.simulation.state import Task
 from negopipe.stages.behaviour_map import map_tasks
 from negopipe.stages.evaluate import held_out_tasks
+from negopipe.tracking.csv_file import CsvKind, write_csv
 
 SETTING, EGO_NAME = "mixture", "cautious"
+TABLE = CsvKind("jobs/passable_streets.py", {"style_s": str, "n_tasks": int, "*_rate": float})
 STYLES_S = (2.0, 6.0)
 
 
@@ -101,7 +103,7 @@ def main(table: Path, n_tasks: int, overrides: Sequence[str]) -> None:
     print(found.to_string(index=False))
     failed = passable[passable[EGO_NAME] != "success"]
     print(failed.to_string() if len(failed) else f"{EGO_NAME} succeeds in all of them")
-    found.to_csv(table, index=False)
+    write_csv(table, found, TABLE)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,8 @@ from yaml_comments import Key, header, keys, package
 
 from negopipe import CONF
 
-FREE = "experiment"
-"""The group whose options only set keys of other groups."""
+FREE = ("experiment", "unseen")
+"""The groups whose options only set keys of other groups."""
 NOT_OURS = "hydra"
 """Section of the root whose keys are Hydra's own."""
 KIND = "the implementation that the option's other keys configure"
@@ -42,7 +42,7 @@ def explained(group: str, path: Path) -> list[Key]:
 
 def undocumented() -> list[str]:
     """Keys that nothing explains, as file: key. A section needs no explanation where its keys have one."""
-    checked = [(group, path) for group, paths in options().items() for path in paths if group != FREE]
+    checked = [(group, path) for group, paths in options().items() for path in paths if group not in FREE]
     return [
         f"{path.relative_to(CONF.parent)}: {key.path}"
         for group, path in checked
@@ -71,7 +71,7 @@ def _page() -> Iterator[str]:
 def _option(group: str, path: Path) -> Iterator[str]:
     text = path.read_text(encoding="utf-8")
     if group:
-        yield from _title(f"{group}={path.stem}" if group != FREE else f"+{group}={path.stem}", "~")
+        yield from _title(f"{group}={path.stem}" if group not in FREE else f"+{group}={path.stem}", "~")
     if header(text):
         yield from (escaped(header(text)), "")
     for key in explained(group, path):

@@ -21,6 +21,7 @@ from negopipe.errors import UserError
 ROOT = Path(__file__).parents[2]
 OF_A_MAP = {"lanelet2", "commonroad"}
 """Scenarios that need a file, see tests/simulation/test_map_road.py."""
+FEW_STREETS = ["scenario.streets.n_training=2", "scenario.streets.n_held_out=2"]
 OBJECTS = ["observation=objects", "policy=objects"]
 """Each of them fits the other only."""
 OPTIONS = sorted(
@@ -50,6 +51,7 @@ def test_every_option_composes_and_builds(option: Path) -> None:
     beside += ["planner=consistent_stops"] if option.name.endswith("_inf") else []
     beside += OBJECTS if option.name == "objects" else []
     beside += ["+experiment=unseen"] if option.parts[0] == "unseen" else []
+    beside += FEW_STREETS if option.parts[0] == "unseen" or option.name.startswith("generalist") else []
     build(*beside, f"{plus}{option.parent}={option.name}")
 
 
