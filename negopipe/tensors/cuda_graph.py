@@ -10,8 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-Tables = tuple[Tensor, ...]
-"""Tensors [E, columns], one per dtype."""
+from negopipe.tensors.chunked import Tables
 
 
 class GraphedFunction:
