@@ -18,7 +18,7 @@ SMALL = (
     "compile=off n_threads=1 policy.precision=float32 policy.memory_format=channels_last scenario.episode_steps=48 "
     "'curriculum.stages=[{name:few,n_iterations:2,families:{yield:${scenario.families.yield}}}]' "
     "curriculum.demonstrations=null algorithm.n_worlds=4 algorithm.n_steps=8 algorithm.minibatch_size=16 "
-    "evaluation.n_episodes=4 report.n_animations=1 behaviour_map.n_episodes=2 "
+    "evaluation.n_episodes=4 report.n_animations=1 behaviour_map.n_episodes=2 cross_play.n_episodes=2 "
     "oracle.n_episodes=2 oracle.population=2 oracle.rounds=1 benchmark.n_worlds=[1,2] benchmark.base_n_worlds=1 "
     "benchmark.backends=[eager] benchmark.min_time_s=0.01 benchmark.n_latencies=5 benchmark.n_iterations=2"
 )

@@ -31,7 +31,7 @@ from negopipe.config.root import RunConfig, load
 from negopipe.errors import UserError
 from negopipe.runtime.build import save_policy
 from negopipe.simulation.state import World
-from negopipe.stages import behaviour_map, evaluate, oracle, report
+from negopipe.stages import behaviour_map, cross_play, evaluate, oracle, report
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 from negopipe.tracking.run_folder import CONFIG_NAME, METRICS_NAME
 from negopipe.training.training import Training
@@ -46,8 +46,8 @@ TINY = (
     "+experiment=smoke", "device=cpu", "n_threads=1",
     "policy.head_widths=[8]", "algorithm.n_worlds=3",
     "algorithm.n_steps=4", "algorithm.minibatch_size=6", "algorithm.kfac.inverse_interval=2",
-    "scenario.episode_steps=3", "evaluation.n_episodes=2", "behaviour_map.n_episodes=2", "oracle.n_episodes=2",
-    "oracle.population=2", "oracle.settings=[push]", "behaviour_map.horizons_s=[0.0,2.0]",
+    "scenario.episode_steps=3", "evaluation.n_episodes=2", "behaviour_map.n_episodes=2", "cross_play.n_episodes=2",
+    "oracle.n_episodes=2", "oracle.population=2", "oracle.settings=[push]", "behaviour_map.horizons_s=[0.0,2.0]",
     "behaviour_map.styles_s=[2.0]", "evaluation.settings=[yield]", "oracle.rounds=1", "benchmark.backends=[eager]",
     "benchmark.n_worlds=[1,2]", "policy.horizons_s=[0.0,2.0]", "evaluation/baseline=[fixed_0,fixed_2]",
     "report.side_by_side=[fixed_2]", "benchmark.base_n_worlds=1", "benchmark.min_time_s=0.001",
@@ -68,10 +68,19 @@ OTHER_OPTIONS = (
 )  # fmt: skip
 """With keys that the defaults do not have, or give another kind of value."""
 
-STAGE_OF = {"evaluation": "evaluate", **{name: name for name in ("behaviour_map", "oracle", "report", "benchmark")}}
+STAGE_OF = {
+    "evaluation": "evaluate",
+    **{name: name for name in ("behaviour_map", "cross_play", "oracle", "report", "benchmark")},
+}
 """Group -> the stage that is about it."""
 
-DRIVEN = {"evaluate": evaluate, "behaviour_map": behaviour_map, "oracle": oracle, "report": report}
+DRIVEN = {
+    "evaluate": evaluate,
+    "behaviour_map": behaviour_map,
+    "cross_play": cross_play,
+    "oracle": oracle,
+    "report": report,
+}
 """The stages that are run; a benchmark takes as long as it is told to."""
 
 Options = tuple[str, ...]

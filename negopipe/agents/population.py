@@ -232,16 +232,21 @@ class Cast:
         cast.weights = weights
         return cast
 
-    def assign(self, task: Task) -> Task:
+    def only(self, index: int) -> "Cast":
+        """The same cast with one driver for all social vehicles."""
+        return self.weighted(torch.arange(len(self.names)).to(self.weights.device) == index)
+
+    def assign(self, task: Task, ego: int = NOBODY) -> Task:
         """The tasks with a driver for every social vehicle, and with the horizons that these bring along.
 
         All draws are functions of the tasks' noise seeds, so a population changes nothing else of a task.
+        ego: driver of the ego, by index; NOBODY = the ego is driven by whoever drives the episodes
         """
         vehicle = torch.arange(task.direction.shape[1], device=task.direction.device)
         key = mix(mix(mix(task.noise_seed)[:, None] + vehicle) + CAST)
         until = (self.weights.cumsum(0) / self.weights.sum()).float()
         driver = torch.searchsorted(until, uniform(key, DRIVER), right=True).clamp(max=len(until) - 1)
-        driver[:, EGO] = NOBODY
+        driver[:, EGO] = ego
         style, has_own = task.style_horizon, torch.zeros_like(driver, dtype=torch.bool)
         for index in range(len(self.names)):
             is_its, planner = driver == index, self._planners.get(index)

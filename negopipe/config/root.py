@@ -17,6 +17,7 @@ from negopipe.config.messages import explain_composition, explain_validation, mi
 from negopipe.config.renamed import renamings
 from negopipe.errors import UserError, abbreviate
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
+from negopipe.evaluation.cross_play import CrossPlayConfig
 from negopipe.evaluation.episodes import EvaluationConfig
 from negopipe.game.curriculum import CurriculumConfig
 from negopipe.game.game import CHUNKS
@@ -35,7 +36,9 @@ from negopipe.simulation.starts import check_starts
 from negopipe.simulation.state import world_memory
 from negopipe.tracking.store import TrackingConfig
 
-Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "streets", "benchmark"]
+Stage = Literal[
+    "train", "evaluate", "report", "replay", "behaviour_map", "cross_play", "oracle", "streets", "benchmark"
+]  # fmt: skip
 
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 """Name of an episode, `<setting>/<planner>/<number>`: three columns of episodes.csv."""
@@ -79,6 +82,7 @@ class RunConfig:
     curriculum: CurriculumConfig
     evaluation: EvaluationConfig
     behaviour_map: BehaviourMapConfig
+    cross_play: CrossPlayConfig
     oracle: OracleConfig
     report: ReportConfig
     tracking: TrackingConfig
@@ -169,6 +173,8 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
         yield from config.report.check(evaluation.baselines)
     if "behaviour_map" in stages:
         yield from config.behaviour_map.check(dt_s, foresight)
+    if "cross_play" in stages:
+        yield from config.cross_play.check(config.population)
     if "oracle" in stages:
         yield from config.oracle.check(scenario, evaluation.n_episodes, evaluation.reward)
         driven |= set(config.oracle.settings)
@@ -196,6 +202,8 @@ def _memory(config: RunConfig) -> Iterator[Memory]:
         yield from config.curriculum.memory(n_steps, observed)
     if "behaviour_map" in stages:
         yield config.behaviour_map.memory(scenario)
+    if "cross_play" in stages:
+        yield config.cross_play.memory(scenario)
     if "oracle" in stages:
         yield config.oracle.memory(n_actions, n_steps)
     if "benchmark" in stages:

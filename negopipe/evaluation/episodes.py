@@ -1,6 +1,6 @@
 """Evaluation episodes: driving them to the end and recording them."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated, Literal
 
 import numpy as np
@@ -66,9 +66,13 @@ class EvaluationConfig:
         return {name: horizon_s for name, horizon_s in fixed.items() if horizon_s is not None}
 
 
+def by_cast(episode_key: Tensor) -> None:
+    """No driver beside the population's: one of these drives the ego, as its task says."""
+
+
 def drive_episodes(
     game: Game,
-    make_ego: MakeDriver,
+    make_ego: MakeDriver | Callable[[Tensor], None],
     tasks: Task,
     n_worlds: int,
     reward_config: RewardConfig,
@@ -79,6 +83,7 @@ def drive_episodes(
 
     Outcomes do not depend on `n_worlds`, since worlds do not interact.
 
+    make_ego: driver of the ego; `by_cast` = the driver that its task names
     reward_config: reward of the record, which may differ from the reward of the training
     names: (planner, setting) of the record
     is_lockstep: the driver decides in all worlds of a batch, also in those whose episode is over; else in the running
@@ -92,21 +97,21 @@ def drive_episodes(
     return Trace(planner=names[0], setting=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
 
 
-def warm_up(game: Game, make_ego: MakeDriver, tasks: Task) -> None:
+def warm_up(game: Game, make_ego: MakeDriver | Callable[[Tensor], None], tasks: Task) -> None:
     """Make a first decision of all drivers in `tasks`, which compiles everything that driving needs."""
     world = game.simulator.reset(tasks)
     game.step(world, _motion(game, make_ego(tasks.noise_seed), world))
 
 
-def _motion(game: Game, ego: Driver, world: World) -> Motion:
-    """Motion of all vehicles [E, V], the ego's by its driver."""
+def _motion(game: Game, ego: Driver | None, world: World) -> Motion:
+    """Motion of all vehicles [E, V], the ego's by its driver, if it has one beside the population's."""
     horizons = game.choose(world, torch.full_like(world.step, torch.nan, dtype=torch.float32))
-    social = [HorizonDriver(given_horizon(column), game.plan) for column in horizons.split(1, dim=1)[EGO + 1 :]]
-    return drive_together([ego, *social], game.perceive(world))
+    cast = [HorizonDriver(given_horizon(column), game.plan) for column in horizons.split(1, dim=1)]
+    return drive_together([ego or cast[EGO], *cast[EGO + 1 :]], game.perceive(world))
 
 
 def _record(
-    game: Game, ego: Driver, tasks: Task, reward_config: RewardConfig, is_lockstep: bool
+    game: Game, ego: Driver | None, tasks: Task, reward_config: RewardConfig, is_lockstep: bool
 ) -> dict[str, np.ndarray]:
     """Fields of `Trace`."""
     world = game.simulator.reset(tasks)
@@ -144,7 +149,7 @@ def _record(
 
 
 def _decide(
-    game: Game, ego: Driver, world: World, which: Tensor, is_running: Tensor, reward_config: RewardConfig
+    game: Game, ego: Driver | None, world: World, which: Tensor, is_running: Tensor, reward_config: RewardConfig
 ) -> tuple[World, Events, dict[str, Tensor]]:
     """One decision in the worlds `which` [R]; those that are not running [R] stay unchanged.
 

@@ -30,13 +30,14 @@ DEPENDS_ON = {
     "report": (*_TRAINING, "evaluation", "report"),
     "replay": (*_TRAINING, "evaluation", "report", "episode"),
     "behaviour_map": (*_GAME, "evaluation", "behaviour_map", "report"),
+    "cross_play": (*_TRAINING, "evaluation", "cross_play", "report"),
     "oracle": (*_GAME, "evaluation", "oracle"),
     "streets": (*_GAME, "report"),
     "benchmark": (*_TRAINING, "n_threads", "evaluation", "benchmark", "tracking"),
 }
 """Groups of the config that a stage's result depends on, including those of the stages that it builds on."""
 
-STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report", "replay")
+STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report", "replay", "cross_play")
 """Stages whose result also depends on `checkpoint`, the start of the training or, without training, the policy."""
 
 NEED_THE_ORACLE = ("evaluate", "report", "replay")

@@ -57,7 +57,8 @@ class VehicleState:
 class Casting:
     """Drivers of the vehicles in E episodes; drawn by `agents.population.Cast`.
 
-    driver: [E, V] int64, index in the population; `NOBODY` for the ego, and everywhere in tasks without a population
+    driver: [E, V] int64, index in the population; `NOBODY` for an ego that is none of it, and everywhere in tasks
+        without a population
     redraw_steps: [E, V] int64, control steps after which the prediction horizon is redrawn, over and over; 0 = never
     redrawn_horizon: [E, V, R] float32, s, the horizons in their order, from the episode's start on; NaN where there
         are none, and R = 0 where no driver has any
@@ -209,9 +210,10 @@ class World:
         return torch.where(n_kept > 0, redrawn.gather(-1, index[..., None])[..., 0], style)
 
     def horizons(self, ego: Tensor | float) -> Tensor:
-        """[E, V] float32, s: `ego` [E] for the ego, the driving style in force now for the social vehicles."""
+        """[E, V] float32, s: `ego` [E] for the ego, else and where that is NaN the driving style in force now."""
         horizons = self.style_horizon
-        horizons[:, EGO] = ego
+        given = torch.full_like(self.step, ego, dtype=torch.float32) if isinstance(ego, float) else ego
+        horizons[:, EGO] = torch.where(given.isnan(), horizons[:, EGO], given)
         return horizons
 
 

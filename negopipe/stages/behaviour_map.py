@@ -11,7 +11,6 @@ from math import nan
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
-import torch
 
 from negopipe.agents.driver import fixed_horizon
 from negopipe.agents.horizon_drivers import by_horizon
@@ -87,8 +86,7 @@ def map_tasks(config: "RunConfig", game: Game, setting: str, opponent: Opponent)
     stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
     family, assign = config.scenario.families[setting], None
     if opponent.driver:
-        is_it = [name == opponent.driver for name in game.cast.names]
-        assign = game.cast.weighted(torch.tensor(is_it).to(game.cast.weights)).assign
+        assign = game.cast.only(game.cast.names.index(opponent.driver)).assign
     else:
         family = replace(family, style_horizon_s=[opponent.style_s], style_switch=None)
     return TaskSampler(config.scenario, {setting: family}, stream, assign).draw(config.behaviour_map.n_episodes)
