@@ -15,6 +15,8 @@ MAPS = {
     "ego_first": ("ego passes first [%]", "Purples", (0.0, 150.0)),
 }
 """Share in the table -> its title, colours, values of the palest and the darkest colour."""
+WIDE = 2.0
+"""Width of an interval in percent from which its decimals say nothing."""
 
 
 @styled
@@ -42,8 +44,13 @@ def _draw(axis: Axes, table: pd.DataFrame, players: list[str], name: str) -> Non
         100 * table.pivot(index="ego", columns="social", values=f"{name}_{part}").loc[players, players].to_numpy()
         for part in ("rate", "low", "high")
     )
-    between = np.array(
-        [[f"{a:.1f} to {b:.1f}" for a, b in zip(*rows, strict=True)] for rows in zip(low, high, strict=True)]
-    )
+    texts = [_interval(*bounds) for bounds in zip(low.flat, high.flat, strict=True)]
+    between = np.array(texts).reshape(value.shape)
     heat_cells(axis, value, colors, scale, "{:.1f}", min(8.0, 60 / len(players)), between)
     axis.set_title(title)
+
+
+def _interval(low: float, high: float) -> str:
+    """A narrow interval with a decimal, a wide one without."""
+    decimals = 1 if high - low < WIDE else 0
+    return f"{low:.{decimals}f} to {high:.{decimals}f}"
