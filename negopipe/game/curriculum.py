@@ -10,6 +10,7 @@ from pydantic import Field
 from negopipe.checks import Foresight, Memory, Observed, Problem, check_horizons
 from negopipe.game.reward import RewardConfig
 from negopipe.learning.demonstrations import DemonstrationsConfig
+from negopipe.learning.teacher import TeacherConfig
 from negopipe.schema import Fraction, Interval, Label, PositiveInt, schema
 from negopipe.simulation.scenario import Families, FamilyConfig, ScenarioConfig
 from negopipe.simulation.starts import check_starts
@@ -59,7 +60,8 @@ class CurriculumConfig:
         iterations that are left, so a training has sum K_i iterations in any case
     starts: starts of the tasks in all stages
     rewards: by the name of the stage, rewards that differ from the run's
-    demonstrations: null = the policy learns from its own decisions only
+    demonstrations: decisions of a search to learn from as well; null = none
+    teacher: policy to imitate at first; null = none
     """
 
     stages: Annotated[tuple[CurriculumStageConfig, ...], Field(min_length=1)]
@@ -67,6 +69,7 @@ class CurriculumConfig:
     starts: StartsConfig
     rewards: dict[Label, RewardConfig]
     demonstrations: DemonstrationsConfig | None
+    teacher: TeacherConfig | None
 
     def reward(self, stage: CurriculumStageConfig, otherwise: RewardConfig) -> RewardConfig:
         """Reward of a stage; `otherwise` where the stage has none of its own."""

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from negopipe import environment
 from negopipe.agents.population import Cast, PopulationConfig
-from negopipe.observation.kinds import AnyObservationConfig, build_observation
+from negopipe.observation.kinds import AnyObservationConfig, Observation, build_observation
 from negopipe.planner.config import PlannerConfig
 from negopipe.planner.frenet import FrenetPlanner
 from negopipe.simulation.build_road import build_road
@@ -64,6 +64,7 @@ class Game:
     advance: World, horizon [E, V] (s) -> World, Events, observations of the ego: `drive` and `see` in one call
     see: World -> observations of the ego [E, *obs]: perceive and draw in one call
     see_as: World, vehicle [E] int64 -> observations of that vehicle [E, *obs]
+    watch: another kind of observation -> a function as `see_as` with it
     observation_shape: shape of one observation, *obs
     """
 
@@ -79,6 +80,7 @@ class Game:
     advance: Callable[[World, Tensor], tuple[World, Events, Tensor]]
     see: Callable[[World], Tensor]
     see_as: Callable[[World, Tensor], Tensor]
+    watch: Callable[[Observation], Callable[[World, Tensor], Tensor]]
     observation_shape: tuple[int, ...]
 
 
@@ -110,11 +112,11 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
     def see(world: World) -> Tensor:
         return observation.draw(sensor.perceive(world).of(EGO))
 
-    def see_as(world: World, vehicle: Tensor) -> Tensor:
-        return observation.draw(sensor.perceive(world).of_each(vehicle))
-
     def accelerate(fn: Callable) -> Callable:
         return ChunkedFunction(fn, CHUNKS[kind], compiler)
+
+    def watch(shown: Observation) -> Callable[[World, Tensor], Tensor]:
+        return accelerate(lambda world, vehicle: shown.draw(sensor.perceive(world).of_each(vehicle)))
 
     return Game(
         simulator=simulator,
@@ -128,7 +130,8 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         drive=accelerate(drive),
         advance=accelerate(advance),
         see=accelerate(see),
-        see_as=accelerate(see_as),
+        see_as=watch(observation),
+        watch=watch,
         observation_shape=observation.shape,
     )
 

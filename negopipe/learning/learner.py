@@ -76,6 +76,8 @@ class Learner:
         self._track_returns(returns)
         explained = 1 - (returns - value).var() / returns.var().clamp(min=STD_MIN**2)
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
+        if rollout.is_taught:
+            advantage = torch.ones_like(advantage)
         decisions = Decisions(seen, action, log_prob, advantage, returns)
         demonstrated = (
             None if self.demonstrations is None else self.demonstrations.show(self.policy, progress, self.generator)

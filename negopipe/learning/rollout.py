@@ -10,6 +10,7 @@ from typing import Protocol
 import torch
 from torch import Generator, Tensor
 
+from negopipe.learning.teacher import Label
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
 
 
@@ -65,8 +66,8 @@ class Rollout:
 
     observation: [T, A, *obs] in the environment's dtype, s_t
     is_learning: [T, A] bool, a decision of the policy; what is said of others means nothing
-    action: [T, A] int64, a_t
-    log_prob: [T, A] float32, log pi(a_t|s_t)
+    action: [T, A] int64, a_t; with a teacher the action that it would take
+    log_prob: [T, A] float32, log pi of that action in s_t
     reward, value: [T, A] float32, r_t and V(s_t)
     is_terminated, is_truncated: [T, A] bool
     final_value: [T, A] float32, value of the final observation where truncated, else 0
@@ -75,6 +76,7 @@ class Rollout:
     episode_steps: [T, E] int64, its number of decisions; 0 where none ended
     is_success, is_collision: [T, E] bool, its outcome; false where none ended
     final_info: name -> [N], `Transition.final_info` of the N episodes that ended, in the order of `is_over`
+    is_taught: whether a teacher gave the actions
     """
 
     observation: Tensor
@@ -92,6 +94,7 @@ class Rollout:
     is_success: Tensor
     is_collision: Tensor
     final_info: dict[str, Tensor] = field(default_factory=dict)
+    is_taught: bool = False
 
     @property
     def is_done(self) -> Tensor:
@@ -119,12 +122,18 @@ class RunningEpisodes:
 
 @torch.no_grad()
 def collect(
-    env: Environment, policy: ActorCritic, n_steps: int, generator: Generator, running: RunningEpisodes
+    env: Environment,
+    policy: ActorCritic,
+    n_steps: int,
+    generator: Generator,
+    running: RunningEpisodes,
+    teacher: Label | None = None,
 ) -> tuple[Rollout, RunningEpisodes]:
     """Roll `policy` out for `n_steps` decisions, sampling its actions.
 
     generator: draws the actions; on the environment's device
     running: the unfinished episodes of the worlds, as the previous call returned them
+    teacher: labels the decisions in the environment's present state; the policy's own actions are carried out
     """
     observation = env.observe()
     observations = observation.new_empty(n_steps, *observation.shape)
@@ -134,13 +143,14 @@ def collect(
         observations[t], is_learning = observation, env.is_learning()
         logits, value = _run(policy, observation, is_learning)
         action = sample_action(logits, generator)
+        labelled = action if teacher is None else teacher()
         transition = env.step(action)
         running, ended = _count(running, transition)
         steps.append(
             {
                 "is_learning": is_learning,
-                "action": action,
-                "log_prob": log_prob_of(action, logits.log_softmax(-1)),
+                "action": labelled,
+                "log_prob": log_prob_of(labelled, logits.log_softmax(-1)),
                 "reward": transition.reward,
                 "value": value,
                 "is_terminated": transition.is_terminated,
@@ -153,8 +163,13 @@ def collect(
         observation = transition.observation
     last_value = _run(policy, observation, env.is_learning())[1]
     stacked = {name: torch.stack([step[name] for step in steps]) for name in steps[0]}
-    final_info = {name: torch.cat([info[name] for info in infos]) for name in infos[0]}
-    return Rollout(observation=observations, **stacked, last_value=last_value, final_info=final_info), running
+    return Rollout(
+        observation=observations,
+        **stacked,  # type: ignore[arg-type]  # of fields that are tensors
+        last_value=last_value,
+        final_info={name: torch.cat([info[name] for info in infos]) for name in infos[0]},
+        is_taught=teacher is not None,
+    ), running
 
 
 def _run(policy: ActorCritic, observation: Tensor, is_learning: Tensor) -> tuple[Tensor, Tensor]:

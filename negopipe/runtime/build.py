@@ -115,6 +115,24 @@ def load_policy(source: str | Path = "pretrained/mixture", config: "RunConfig | 
     else:
         _check_match(path, metadata, config)
         network, observation = config.policy, config.observation
+    return _restored(path, tensors, network, observation)
+
+
+def load_described(source: str, config: "RunConfig") -> tuple[Policy, AnyPolicyConfig, AnyObservationConfig]:
+    """The policy of a checkpoint as `load_policy` gives it, its network and its observation, whatever the config's.
+
+    config: its store is looked into for the id of an MLflow run
+    """
+    path = find_checkpoint(source, config)
+    tensors, metadata = load_checkpoint(path)
+    network, observation = _described(path, metadata)
+    return _restored(path, tensors, network, observation), network, observation
+
+
+def _restored(
+    path: Path, tensors: dict[str, Tensor], network: AnyPolicyConfig, observation: AnyObservationConfig
+) -> Policy:
+    """A network with the weights of a checkpoint, in eval mode on the CPU."""
     with torch.random.fork_rng(devices=[]):  # torch draws weights for every layer that it makes
         policy = build_policy(network, observation.layout, torch.device("cpu"), torch.Generator())
     _fill(path, tensors, policy)

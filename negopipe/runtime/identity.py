@@ -79,6 +79,9 @@ def stage_key(config: RunConfig, stage: str) -> str:
     if stage in STARTS_FROM_CHECKPOINT and config.checkpoint is not None:
         start = _digest(find_checkpoint(config.checkpoint, config).read_bytes())
         relevant["checkpoint"] = [start, "train" in config.stages]
+    if config.curriculum.teacher is not None and "curriculum" in DEPENDS_ON[stage]:
+        teacher = find_checkpoint(config.curriculum.teacher.checkpoint, config)
+        relevant["teacher"] = _digest(teacher.read_bytes())
     if config.evaluation.oracle is not None and stage in NEED_THE_ORACLE:
         path = find_oracle(config.evaluation.oracle)
         relevant["oracle.csv"] = _digest(path.read_bytes()) if path.is_file() else None

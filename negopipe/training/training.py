@@ -22,6 +22,7 @@ from negopipe.tracking.snapshots import Snapshots
 from negopipe.training.demonstration_search import demonstrations
 from negopipe.training.league import League
 from negopipe.training.learning_curve import MEANS_OF_EPISODES, LearningCurve
+from negopipe.training.teacher import Teacher
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
@@ -59,6 +60,9 @@ class Training:
         game = with_learned(game_of(config), config, self.policy, self.league.members)
         horizons_s, learners = config.policy.horizons_s, game.cast.learners
         self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds, learners)
+        teacher = config.curriculum.teacher
+        self._teacher = None if teacher is None else Teacher(config, game, self.env, teacher.checkpoint)
+        self._taught_until = 0.0 if teacher is None else teacher.until
         self.running = RunningEpisodes.start(algorithm.n_worlds, device)
         self.weights_before = _copy(self.policy)
         self.is_at_stage_end = False
@@ -74,9 +78,10 @@ class Training:
     def iterate(self) -> dict:
         """One iteration of Algorithm 1; returns its row of the learning curve."""
         self.weights_before = _copy(self.policy)
-        stage = self._select_task_distribution()
-        rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running)
-        metrics = self.learner.update(rollout, self.n_done / self.n_total)  # advantages, then the algorithm's updates
+        stage, progress = self._select_task_distribution(), self.n_done / self.n_total
+        label = self._teacher.label if self._teacher is not None and progress < self._taught_until else None
+        rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running, label)
+        metrics = self.learner.update(rollout, progress)  # advantages, then the algorithm's updates
         self.league.record(rollout.final_info["social_driver"], rollout.is_success[rollout.is_over])
         self.league.admit(self.policy, self.n_done + 1)
         return self._record(stage, rollout, metrics)

@@ -11,7 +11,11 @@ from negopipe.config import root
 from negopipe.config.root import RunConfig, check_components
 from negopipe.errors import UserError
 
-ALL = ["curriculum=demonstrations", "population=mixed", "stages=[train,evaluate,behaviour_map,cross_play,oracle,benchmark]"]
+ALL = [
+    "curriculum=demonstrations",
+    "population=mixed",
+    "stages=[train,evaluate,behaviour_map,cross_play,oracle,benchmark]",
+]
 ALL += ["scenario.road.parked_car_length_m=1.0", "scenario.n_followers=1"]
 LATE = ["perception.delay_s=0.4", "perception.accel_window_s=5.0", "algorithm.minibatch_size=4096"]
 OBJECTS = ["observation=objects", "policy=objects", "policy.own_widths=[64,32]"]
