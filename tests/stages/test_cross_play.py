@@ -118,7 +118,7 @@ def test_symmetric_starts_leave_no_difference_between_the_seats(played: tuple[Ru
 
 
 def test_the_policy_of_the_run_plays_as_self(tmp_path: Path) -> None:
-    small = ("policy.head_widths=[8]", "policy.encoder_width=16", "policy.precision=float32", "cross_play.n_episodes=2")
+    small = ("policy.trunk_widths=[16]", "policy.own_widths=[8]", "cross_play.n_episodes=2")
     config = tiny_config("cross_play", "population/driver=[cautious,self]", *small)
     run = RecordedRun(tmp_path)
     with pytest.raises(UserError, match="checkpoint must be a file or an MLflow run id"):
