@@ -1,8 +1,8 @@
 """Add a trained policy to those that come with negopipe: python jobs/ship_policy.py <checkpoint> <name>
 
-The weights of the encoder are rounded to bfloat16, which halves the file. A policy that was trained in bfloat16
-computes with exactly these weights. The shipped policy is the one to evaluate:
-+experiment=<name> checkpoint=pretrained.
+The encoder of a network of grids is rounded to bfloat16, which halves the file. A policy that was trained in bfloat16
+computes with exactly these weights. A network of objects is small and stays as it is. The shipped policy is the one to
+evaluate: +experiment=<name> checkpoint=pretrained.
 """
 
 import argparse
@@ -17,7 +17,10 @@ from negopipe.tracking.checkpoint import load_checkpoint, save_checkpoint
 def ship(checkpoint: Path, name: str) -> Path:
     """Write a checkpoint into the package under a name; returns its path."""
     tensors, metadata = load_checkpoint(checkpoint)
-    rounded = {key: x.to(torch.bfloat16) if key.startswith("encoder.") else x for key, x in tensors.items()}
+    is_small = metadata.get("policy", {}).get("kind") == "objects"
+    rounded = {
+        key: x.to(torch.bfloat16) if key.startswith("encoder.") and not is_small else x for key, x in tensors.items()
+    }
     path = pretrained.FOLDER / f"{name}.safetensors"
     path.parent.mkdir(exist_ok=True)
     save_checkpoint(path, rounded, metadata)
