@@ -7,6 +7,7 @@ override PYTHON := $(or $(PYTHON),python3)
 override OUTPUTS := $(or $(OUTPUTS),outputs)
 override STORE := $(or $(STORE),$(OUTPUTS))
 override NAME := $(or $(NAME),yield)
+override CHECKPOINT := $(or $(CHECKPOINT),pretrained/generalist)
 override PORT := $(or $(PORT),5000)
 override DOCS_PORT := $(or $(DOCS_PORT),8000)
 VENV := .venv
@@ -35,7 +36,7 @@ yield: $(READY)  ## train, evaluate and report on the yield task
 push: $(READY)  ## the same on the push task
 	$(BIN)/python -m negopipe +experiment=push $(ARGS)
 
-unseen: $(READY)  ## put the policy of CHECKPOINT to tasks that no training contains
+unseen: $(READY)  ## put the generalist, or the policy of CHECKPOINT, to tasks that no training contains
 	$(BIN)/python -m negopipe +experiment=unseen 'checkpoint=$(CHECKPOINT)' 'outputs=$(OUTPUTS)/unseen-v1' $(ARGS)
 	$(BIN)/python -m negopipe.sweeping.unseen '$(OUTPUTS)/unseen-v1'
 

@@ -157,7 +157,11 @@ def test_load_policy_says_in_one_line_what_is_wrong(tmp_path: Path) -> None:
     config = negopipe.load_config("policy.encoder_width=32")
     (tmp_path / "text").write_text("nothing")
     for source, given, said in (
-        ("pretrained/nix", None, "checkpoint must be among pretrained/mixture, pretrained/yield"),
+        (
+            "pretrained/nix",
+            None,
+            "checkpoint must be among pretrained/generalist, pretrained/mixture, pretrained/yield",
+        ),
         ("nix", None, "checkpoint must be an existing file, pretrained, or the id of an MLflow run"),
         (tmp_path / "text", None, "checkpoint must be a whole safetensors file"),
         ("pretrained/yield", config, "policy.encoder_width must be 512 as in the checkpoint"),
