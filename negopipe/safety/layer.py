@@ -60,15 +60,19 @@ class Guarded(NamedTuple):
 
 
 class SafetyLayer:
-    """The layer for the street, sizes and control step of a simulator; a function of tensors."""
+    """The layer for the street, sizes and control step of a simulator; a function of tensors.
+
+    lateral: paths on which the ego may come to rest
+    passage: places before the narrow ones at which it waits
+    """
 
     def __init__(self, config: RssConfig, simulator: Simulator) -> None:
         self.config, self.road, self.sizes = config, simulator.road, simulator.sizes
         self.dt_s, device = simulator.scenario.dt_s, simulator.road.device
-        self._lateral = LateralCandidates(config.stops, self.road, device)
+        self.lateral = LateralCandidates(config.stops, self.road, device)
         self._roadside = Roadside(self.road, self.sizes, torch.full((N_SPANS + 1,), config.parked_m, device=device))
         self._reach = Reach(config, self.road, self.dt_s)
-        self._passage = Passage.of(simulator.collisions, self.sizes)
+        self.passage = Passage.of(simulator.collisions, self.sizes)
 
     def guard(self, perception: Perception, motion: Motion, kept: Tensor) -> Guarded:
         """What the ego drives instead of `motion` [E, 1], which is itself where it passes.
@@ -111,26 +115,26 @@ class SafetyLayer:
 
         The first of the 1 + L is on the path of the last plan; without one it is a copy of the first fresh path.
         """
-        planned, fresh = (StopPaths.fresh(self._lateral, each, now.direction) for each in (after, now.route))
+        planned, fresh = (StopPaths.fresh(self.lateral, each, now.direction) for each in (after, now.route))
         last = StopPaths.unpack(torch.where(kept.isnan(), fresh.pack()[0], kept))
         stops = last.joined(fresh)
         shape = stops.start_s.shape
         gentle, full = self._gentle(now).expand(shape), now.route.s.new_full(shape, self.config.limits.decel_max_mps2)
         steps = [braked(self.road, now.direction, now.route, stops, decel, self.dt_s) for decel in (gentle, full)]
-        expanded = RouteState(*(field.expand(self._lateral.n_candidates, -1) for field in after))
+        expanded = RouteState(*(field.expand(self.lateral.n_candidates, -1) for field in after))
         starts = RouteState(*(torch.cat(fields) for fields in zip(expanded, *steps, strict=True)))
         return starts, planned.joined(stops, stops)
 
     def _gentle(self, now: Situation) -> Tensor:
         """[N] m/s2: deceleration of a stop at the waiting place ahead, the comfortable one where that is not enough."""
-        left = self._passage.waiting_s(now.route.s, now.direction, now.size.length) - now.route.s
+        left = self.passage.waiting_s(now.route.s, now.direction, now.size.length) - now.route.s
         wanted = now.route.s_dot**2 / (2 * left.clamp(min=0.1))
         comfortable = self.config.comfortable_mps2
         return torch.where((left > 0) & (wanted < comfortable), wanted, comfortable).clamp(min=0.1)
 
     def _choose(self, margin: Tensor, stands: Tensor, is_sound: Tensor, kept: Tensor) -> tuple[Tensor, Tensor]:
         """Index of the stop [N] in the margins [C, N], and the intervention [N]."""
-        n = self._lateral.n_candidates
+        n = self.lateral.n_candidates
         of_plan, gentle, full = margin[:n], margin[n : 2 * n + 1], margin[2 * n + 1 :]
         has_last = ~kept.isnan().any(-1)
         passes = (is_sound & (of_plan.amax(0) > 0)) | stands
