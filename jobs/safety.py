@@ -103,8 +103,14 @@ def _choice(config: RunConfig, game: Game, attack: str, key: Tensor) -> ChooseHo
         return lambda seen: policy(seen).apply_(opposite.__getitem__)
     if attack == "stale":
         past: deque[Tensor] = deque(maxlen=1 + round(STALE_S / config.scenario.dt_s))
-        return lambda seen: (past.append(policy(seen)), past[0])[1]
+        return lambda seen: _delayed(past, policy(seen))
     return policy
+
+
+def _delayed(past: deque[Tensor], latest: Tensor) -> Tensor:
+    """The oldest of the values that a deque of this length holds, the latest included."""
+    past.append(latest)
+    return past[0]
 
 
 def _plan(game: Game, attack: str, key: Tensor) -> Callable[[Perception, Tensor], Motion]:

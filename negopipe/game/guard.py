@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 from negopipe.safety.config import AnySafetyConfig, NoSafetyConfig
-from negopipe.safety.layer import SafetyLayer
-from negopipe.safety.stops import N_KEPT
+from negopipe.safety.layer import N_KEPT, SafetyLayer
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.simulator import Simulator
 from negopipe.simulation.state import EGO, NOBODY, Motion, World

@@ -46,6 +46,7 @@ class RssConfig:
     kind: Literal["rss"]
     limits: MotionLimitConfig
     comfortable_mps2: PositiveFloat
+    hold_s: NonNegativeFloat
     others: AssumedConfig
     parked_m: NonNegativeMetres
     ahead_m: NonNegativeMetres

@@ -9,8 +9,9 @@ A plan is a step and the stop that could follow it: full braking along one of a 
 - the ego comes to rest where an oncoming vehicle that responds late and then brakes can stop before it (RSS for
   vehicles in opposite directions: Shalev-Shwartz 2017).
 
-The stop of a plan that passed is kept: it is there for the next decision, whose plan may not pass (fail-safe planning:
-Pek & Althoff 2018). The layer knows nothing of the policy, nor how the planner chose.
+The path of a plan that passed is kept: it is there for the next decision, whose plan may not pass (fail-safe planning:
+Pek & Althoff 2018). The last plan is followed on it at the speed or with the deceleration that it had. The layer knows
+nothing of the policy, nor how the planner chose.
 
 Axes here: E worlds, C stops that are compared, N = E egos. N is the last axis within a check.
 """
@@ -27,7 +28,7 @@ from negopipe.planner.situation import Situation
 from negopipe.safety.config import RssConfig
 from negopipe.safety.limits import is_drivable, is_finite
 from negopipe.safety.reach import Reach
-from negopipe.safety.stops import N_KEPT, StopPaths, braked, sweep
+from negopipe.safety.stops import N_PATH, StopPaths, braked, sweep
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.simulator import Simulator
@@ -36,8 +37,13 @@ from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.tree import map_tensors, tree_where
 
 INTERVENTIONS = ("none", "last_plan", "planned_stop", "full_braking")
-"""What is driven, by its number: the plan; else the stop of the last plan that passed, a stop for the street, or full
-braking."""
+"""What is driven, by its number: the plan; else the last plan that passed, a stop for the street, or full braking."""
+
+N_KEPT = N_PATH + 1
+"""Numbers that are kept for the next decision: a path, and the control steps since a plan passed."""
+
+LEAST_MPS2 = 1e-3
+"""Deceleration of an ego that keeps its speed, m/s2."""
 
 N_SPANS = 4
 """J, spans of time in which a stop is compared with the others."""
@@ -50,7 +56,7 @@ class Guarded(NamedTuple):
     """Result of the layer for E egos.
 
     motion: Motion [E, 1] to drive
-    kept: [E, N_KEPT] float32, path of the stop that may follow it
+    kept: [E, N_KEPT] float32, path on which a stop may follow it, and its age
     intervention: [E] int64, index into `INTERVENTIONS`
     """
 
@@ -85,9 +91,11 @@ class SafetyLayer:
         own = map_tensors(lambda field: field[:, 0], perception.own)
         is_sound = is_finite(state) & is_drivable(self.config.limits, own, state, self.dt_s)
         after = self.road.to_route(tree_where(is_finite(state), state, own), now.direction)
-        starts, paths = self._candidates(now, after, kept)
+        path, age = kept.split([N_PATH, 1], -1)
+        starts, paths = self._candidates(now, own.accel, after, path)
         margin = self.check(now, starts, paths)
-        chosen, intervention = self._choose(margin, is_sound & self._stands(now, after), is_sound, kept)
+        has_last = (age[:, 0] + 1) * self.dt_s <= self.config.hold_s + self.dt_s / 2  # false for NaN
+        chosen, intervention = self._choose(margin, is_sound & self._stands(now, after), is_sound, has_last)
         column = chosen[None]
         start = RouteState(*(field.gather(0, column)[0] for field in starts))
         braking = self.road.to_world(start, now.direction)
@@ -96,6 +104,7 @@ class SafetyLayer:
         no_plan = motion.is_full_braking | (intervention == INTERVENTIONS.index("full_braking"))[:, None]
         packed = paths.pack()
         kept = packed.gather(0, column[..., None].expand(-1, -1, packed.shape[-1]))[0]
+        kept = torch.cat([kept, torch.where(is_replaced[:, None], age + 1, 0.0)], -1)
         return Guarded(replace(motion, state=driven, is_full_braking=no_plan), kept, intervention)
 
     def check(self, now: Situation, starts: RouteState, paths: StopPaths) -> Tensor:
@@ -109,17 +118,24 @@ class SafetyLayer:
         margin = torch.minimum(beside, self._reach.margin(now, swept))
         return torch.where(swept.curvature.abs().amax(1) <= limits.curvature_max_1pm, margin, OUT_M)
 
-    def _candidates(self, now: Situation, after: RouteState, kept: Tensor) -> tuple[RouteState, StopPaths]:
+    def _candidates(
+        self, now: Situation, accel: Tensor, after: RouteState, kept: Tensor
+    ) -> tuple[RouteState, StopPaths]:
         """Starts [C, N], one step from now, and paths of the stops: L after the plan's step, then 1 + L after a step of
         gentle braking and 1 + L after one of full braking.
 
-        The first of the 1 + L is on the path of the last plan; without one it is a copy of the first fresh path.
+        The first of the 1 + L is on the path of the last plan; without one it is a copy of the first fresh path. The
+        gentle step there is that of the last plan: its deceleration is held.
+
+        accel: [N] m/s2, of the ego along its path
         """
         planned, fresh = (StopPaths.fresh(self.lateral, each, now.direction) for each in (after, now.route))
         last = StopPaths.unpack(torch.where(kept.isnan(), fresh.pack()[0], kept))
         stops = last.joined(fresh)
         shape = stops.start_s.shape
-        gentle, full = self._gentle(now).expand(shape), now.route.s.new_full(shape, self.config.limits.decel_max_mps2)
+        held = (-accel).clamp(LEAST_MPS2, self.config.comfortable_mps2)
+        gentle = torch.cat([held[None], self._gentle(now).expand(self.lateral.n_candidates, -1)])
+        full = now.route.s.new_full(shape, self.config.limits.decel_max_mps2)
         steps = [braked(self.road, now.direction, now.route, stops, decel, self.dt_s) for decel in (gentle, full)]
         expanded = RouteState(*(field.expand(self.lateral.n_candidates, -1) for field in after))
         starts = RouteState(*(torch.cat(fields) for fields in zip(expanded, *steps, strict=True)))
@@ -132,11 +148,10 @@ class SafetyLayer:
         comfortable = self.config.comfortable_mps2
         return torch.where((left > 0) & (wanted < comfortable), wanted, comfortable).clamp(min=0.1)
 
-    def _choose(self, margin: Tensor, stands: Tensor, is_sound: Tensor, kept: Tensor) -> tuple[Tensor, Tensor]:
+    def _choose(self, margin: Tensor, stands: Tensor, is_sound: Tensor, has_last: Tensor) -> tuple[Tensor, Tensor]:
         """Index of the stop [N] in the margins [C, N], and the intervention [N]."""
         n = self.lateral.n_candidates
         of_plan, gentle, full = margin[:n], margin[n : 2 * n + 1], margin[2 * n + 1 :]
-        has_last = ~kept.isnan().any(-1)
         passes = (is_sound & (of_plan.amax(0) > 0)) | stands
         last, planned = has_last & (gentle[0] > 0), gentle[1:].amax(0) > 0
         braking = full.argmax(0) + 2 * n + 1

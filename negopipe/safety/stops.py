@@ -12,8 +12,8 @@ from negopipe.planner.lateral import LateralCandidates, path_shape
 from negopipe.planner.polynomial import N_COEFFICIENTS, evaluate
 from negopipe.simulation.road import Road, RouteState
 
-N_KEPT = N_COEFFICIENTS + 2
-"""Numbers of a path that is kept."""
+N_PATH = N_COEFFICIENTS + 2
+"""Numbers of a path."""
 
 
 class StopPaths(NamedTuple):
@@ -36,12 +36,12 @@ class StopPaths(NamedTuple):
 
     @staticmethod
     def unpack(kept: Tensor) -> "StopPaths":
-        """The path [1, N] of a tensor [N, N_KEPT]."""
+        """The path [1, N] of a tensor [N, N_PATH]."""
         *coefficients, start_s, length = kept.T[:, None].unbind(0)
         return StopPaths(tuple(coefficients), start_s, length)
 
     def pack(self) -> Tensor:
-        """The tensor [C, N, N_KEPT] of the paths."""
+        """The tensor [C, N, N_PATH] of the paths."""
         return torch.stack([*self.coefficients, self.start_s, self.length], -1)
 
     def joined(self, *more: "StopPaths") -> "StopPaths":

@@ -84,6 +84,19 @@ def test_a_decision_or_a_plan_of_nan_is_a_planned_stop_and_then_the_last_plan(co
     assert intervention(game, kept, broken) == LAST_PLAN
 
 
+def test_the_last_plan_is_followed_at_its_speed_for_a_while(config: RunConfig, game: Game) -> None:
+    world = meet(config, game, [[-40.0, -40.0]], [[5.0, 5.0]])
+    world, _ = game.drive(world, torch.zeros(1, 2))
+    before, numbers = float(world.vehicles.speed[0, EGO]), []
+    for _ in range(7):
+        world, motion, number = game.guard(world, game.perceive(world), planned(game, world, float("nan")))
+        numbers.append(int(number))
+        if number == LAST_PLAN:
+            assert float(motion.state.speed[0, EGO]) == pytest.approx(before, abs=0.01)
+        world = replace(world, vehicles=motion.state, reference=motion.state)
+    assert numbers == [LAST_PLAN] * 5 + [PLANNED_STOP] * 2
+
+
 def test_the_stop_of_a_lost_plan_ends_at_the_waiting_place(config: RunConfig, game: Game, layer: SafetyLayer) -> None:
     world = meet(config, game, [[-20.0, -20.0]], [[5.0, 0.0]])
     horizon = torch.tensor([[torch.nan, 0.0]])
@@ -225,13 +238,16 @@ def fingerprint(*overrides: str) -> list[float]:
     margins += [margin_at(config, game, layer, -36.0, -1.75, 40.0, 2.0, aside) for aside in (-2.0, 2.0)]
     world = meet(config, game, [[-9.0, -20.0], [-20.0, -20.0]], [[6.0, 5.0], [5.0, 5.0]])
     _, motion, _ = game.guard(world, game.perceive(world), planned(game, world, float("nan")))
-    return [*margins, *motion.state.accel[:, EGO].tolist()]
+    kept, _, _ = game.guard(world, game.perceive(world), planned(game, world, 0.0))
+    again = game.guard(kept, game.perceive(kept), planned(game, kept, float("nan")))[2]
+    return [*margins, *motion.state.accel[:, EGO].tolist(), *again.tolist()]
 
 
 @pytest.mark.parametrize(
     "override",
     [
         "safety.comfortable_mps2=3.0",
+        "safety.hold_s=0.0",
         "safety.limits.decel_max_mps2=6.0",
         "safety.others.speed_max_mps=5.0",
         "safety.others.accel_max_mps2=4.0",
