@@ -12,6 +12,7 @@ The map, lowest first: a package imports only what stands above it here, and its
     maps          real streets: lanelet2 and CommonRoad files in, CommonRoad scenarios out
     simulation    the rules of the game: state, geometry, street, tasks, perception, dynamics, collisions, simulator
     planner       Frenet candidates, prediction of the others, the choice
+    safety        what checks every plan before it is driven: stops, reachable sets of the others, interventions
     observation   occupancy grids; rows of numbers of objects
     agents        who drives: planners with horizons, drivers by rule, policies; the population of social drivers
     game          one decision, the reward, task distributions by stages, batched worlds for a learner

@@ -27,6 +27,7 @@ from negopipe.observation.kinds import ObservationConfig
 from negopipe.planner.config import PlannerConfig
 from negopipe.policy.kinds import PolicyConfig, check_policy, layers_of
 from negopipe.report.page import ReportConfig
+from negopipe.safety.config import SafetyConfig
 from negopipe.schema import FileName, PathText, PositiveInt, Seed, schema
 from negopipe.search.oracle import OracleConfig
 from negopipe.simulation.dynamics import DynamicsConfig
@@ -75,6 +76,7 @@ class RunConfig:
     perception: PerceptionConfig
     dynamics: DynamicsConfig
     planner: PlannerConfig
+    safety: SafetyConfig
     observation: ObservationConfig
     reward: RewardConfig
     policy: PolicyConfig

@@ -49,7 +49,7 @@ RESET_MASK = "reset_mask"
 """gymnasium's name of the option of `reset` that selects the worlds in which a new task starts."""
 
 KEYS = (
-    *("scenario", "population", "perception", "dynamics", "planner", "observation", "reward"),
+    *("scenario", "population", "perception", "dynamics", "planner", "safety", "observation", "reward"),
     *("policy.horizons_s", "evaluation.settings"),
 )
 """Keys that an environment depends on."""

@@ -100,14 +100,19 @@ def drive_episodes(
 def warm_up(game: Game, make_ego: MakeDriver | Callable[[Tensor], None], tasks: Task) -> None:
     """Make a first decision of all drivers in `tasks`, which compiles everything that driving needs."""
     world = game.simulator.reset(tasks)
-    game.step(world, _motion(game, make_ego(tasks.noise_seed), world))
+    world, motion, _ = _motion(game, make_ego(tasks.noise_seed), world)
+    game.step(world, motion)
 
 
-def _motion(game: Game, ego: Driver | None, world: World) -> Motion:
-    """Motion of all vehicles [E, V], the ego's by its driver, if it has one beside the population's."""
+def _motion(game: Game, ego: Driver | None, world: World) -> tuple[World, Motion, Tensor]:
+    """Motion of all vehicles [E, V], as far as the safety layer lets it: see `Game.guard`.
+
+    ego: its driver; None = the one that its task names
+    """
     horizons = game.choose(world, torch.full_like(world.step, torch.nan, dtype=torch.float32))
     cast = [HorizonDriver(given_horizon(column), game.plan) for column in horizons.split(1, dim=1)]
-    return drive_together([ego or cast[EGO], *cast[EGO + 1 :]], game.perceive(world))
+    perception = game.perceive(world)
+    return game.guard(world, perception, drive_together([ego or cast[EGO], *cast[EGO + 1 :]], perception))
 
 
 def _record(
@@ -156,12 +161,13 @@ def _decide(
     Returns all worlds, and the events and the row of the decision of those R.
     """
     before = map_tensors(lambda field: field.index_select(0, which), world)
-    motion = _motion(game, ego, before)
+    before, motion, intervention = _motion(game, ego, before)
     moved, events = game.step(before, motion)
     moved = tree_where(is_running, moved, before)
     world = map_tensors(lambda field, new: field.index_copy(0, which, new), world, moved)
     events = map_tensors(lambda field: field & is_running, events)
-    return world, events, _decision_row(motion, events, reward_config, is_running)
+    row = _decision_row(motion, events, reward_config, is_running)
+    return world, events, row | {"intervention": torch.where(is_running, intervention, 0).to(torch.int8)}
 
 
 def _scatter(field: Tensor, which: Tensor, n: int) -> Tensor:

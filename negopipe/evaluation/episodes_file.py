@@ -13,7 +13,14 @@ import pandas as pd
 
 from negopipe.evaluation.horizon_text import to_text
 from negopipe.evaluation.metrics import mean_over, passes_first, running, suspensions
-from negopipe.evaluation.safety import avoidable_by, footprints, largest_decel_and_jerk, smallest_gap, smallest_ttc
+from negopipe.evaluation.safety import (
+    avoidable_by,
+    contact_speed,
+    footprints,
+    largest_decel_and_jerk,
+    smallest_gap,
+    smallest_ttc,
+)
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.simulation.geometry import Boxes
 from negopipe.simulation.state import EGO, NEAREST
@@ -135,6 +142,12 @@ COLUMNS = (
         "decisions of the ego without a feasible plan",
     ),
     EpisodeColumn(
+        "intervention_count",
+        int,
+        lambda d: ((d.trace.intervention > 0) & d.is_running).sum(0),
+        "decisions in which the safety layer replaced the plan of the ego",
+    ),
+    EpisodeColumn(
         "mean_horizon_s",
         float,
         lambda d: mean_over(np.minimum(d.trace.horizon_s[:, :, EGO], d.plan_s), d.is_running),
@@ -172,6 +185,9 @@ COLUMNS = (
         lambda d: avoidable_by(d.trace, d.braking_mps2),
         "vehicle that full braking would have kept out of the collision: ego, social, both, nobody; alone: the ego "
         "touched no vehicle; none: no collision",
+    ),
+    EpisodeColumn(
+        "contact_speed_mps", float, lambda d: contact_speed(d.trace), "speed of the ego as it collided; or empty"
     ),
 )
 """Columns in the order of the file."""

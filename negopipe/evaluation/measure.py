@@ -24,6 +24,11 @@ def known(column: pd.Series) -> float:
     return float(column.notna().mean())
 
 
+def share_above(bound: float) -> Aggregate:
+    """Share of the episodes with a larger value; those without a value count as lower."""
+    return lambda column: float((column > bound).mean())
+
+
 def share(*values: str) -> Aggregate:
     """Share of the episodes with one of these values."""
     return lambda column: sum((float((column == value).mean()) for value in values), 0.0)

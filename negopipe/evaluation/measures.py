@@ -11,8 +11,17 @@ from typing import Any
 
 import pandas as pd
 
-from negopipe.evaluation.measure import Measure, indicator, itself, known, share, share_with_interval
+from negopipe.evaluation.measure import (
+    Measure,
+    indicator,
+    itself,
+    known,
+    share,
+    share_above,
+    share_with_interval,
+)
 from negopipe.evaluation.statistics import Estimate
+from negopipe.simulation.state import AT_REST_MPS
 
 MEASURES = (
     Measure(
@@ -174,6 +183,24 @@ MEASURES = (
         "mean number of decisions without a feasible plan, in which the ego brakes fully",
         column="full_braking_count",
         table="safety",
+    ),
+    Measure(
+        "intervention_count",
+        "interventions",
+        "count",
+        "mean number of decisions in which the safety layer replaced the plan of the ego",
+        column="intervention_count",
+        decimals=2,
+        table="safety",
+        is_rare=True,
+    ),
+    Measure(
+        "moving_collision_rate",
+        "collisions while moving",
+        "%",
+        "share of the episodes that end in a collision of the ego while it moves",
+        column="contact_speed_mps",
+        aggregate=share_above(AT_REST_MPS),
     ),
     Measure(
         "avoidable_rate",

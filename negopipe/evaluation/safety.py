@@ -69,6 +69,12 @@ def largest_decel_and_jerk(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     return decel.clip(min=0), np.where(is_running[1:], jerk, 0.0).max(0, initial=0.0)
 
 
+def contact_speed(trace: Trace) -> np.ndarray:
+    """[E] float64, m/s: speed of the ego at the collision that ended the episode, NaN without one."""
+    speed = np.abs(trace.speed_mps[trace.n_steps, np.arange(len(trace.n_steps)), EGO].astype(np.float64))
+    return np.where(trace.outcome == OUTCOMES.index("collision"), speed, np.nan)
+
+
 def avoidable_by(trace: Trace, braking_mps2: float) -> np.ndarray:
     """[E] str: the vehicle that could have avoided a collision of the ego, ego | social | both | nobody.
 

@@ -46,6 +46,7 @@ class Trace:
     progress_m: [T+1, E, V] float32, s along the vehicle's own route, 0 at the mouth
     horizon_s: [T, E, V] float32, prediction horizon used in the decision; NaN for drivers without one
     is_full_braking: [T, E, V] bool, no feasible plan existed
+    intervention: [T, E] int8, index into `negopipe.safety.layer.INTERVENTIONS`, 0 = the ego drove by its plan
     reward: [T, E] float32, reward of Eq. 3 (docs/reading.md, "reward") per decision, 0 after the end
     n_steps: [E] int64, decisions until the episode ended
     reached_step: [E, V] int64, first step index at which the vehicle had reached its target, -1 = never
@@ -68,6 +69,7 @@ class Trace:
     progress_m: np.ndarray
     horizon_s: np.ndarray
     is_full_braking: np.ndarray
+    intervention: np.ndarray
     reward: np.ndarray
     n_steps: np.ndarray
     reached_step: np.ndarray
@@ -86,7 +88,7 @@ EPISODE_AXIS = {
     "street": 0, "corridor_m": 0, "start_distance_m": 0, "style_horizon_s": 0, "length_m": 0, "width_m": 0, "driver": 0,
     "n_steps": 0, "reached_step": 0, "outcome": 0,
     "position_m": 1, "yaw_rad": 1, "speed_mps": 1, "progress_m": 1,
-    "horizon_s": 1, "is_full_braking": 1, "reward": 1,
+    "horizon_s": 1, "is_full_braking": 1, "intervention": 1, "reward": 1,
 }  # fmt: skip
 """Array of a `Trace` -> its axis of episodes."""
 
@@ -100,7 +102,7 @@ def trace_bytes(n_episodes: int, episode_steps: int, n_vehicles: int) -> int:
     return n_episodes * episode_steps * n_vehicles * STEP_BYTES * N_COPIES
 
 
-_FORMAT = "negopipe traces 4"
+_FORMAT = "negopipe traces 5"
 """Written into every file; the number changes when a field of `Trace` changes."""
 
 

@@ -10,9 +10,11 @@ from torch import Tensor
 
 from negopipe import environment
 from negopipe.agents.population import Cast, PopulationConfig
+from negopipe.game.guard import Guard, n_kept
 from negopipe.observation.kinds import AnyObservationConfig, Observation, build_observation
 from negopipe.planner.config import PlannerConfig
 from negopipe.planner.frenet import FrenetPlanner
+from negopipe.safety.config import SafetyConfig
 from negopipe.simulation.build_road import build_road
 from negopipe.simulation.dynamics import DynamicsConfig, build_dynamics
 from negopipe.simulation.perception import Perception, PerceptionConfig, Sensor
@@ -47,6 +49,9 @@ class GameConfig(Protocol):
     @property
     def dynamics(self) -> DynamicsConfig: ...
 
+    @property
+    def safety(self) -> SafetyConfig: ...
+
 
 @dataclass(frozen=True)
 class Game:
@@ -58,9 +63,11 @@ class Game:
     choose: World, horizon of the ego [E] (s) -> horizons [E, V] (s) of all vehicles
     plan: Perception, horizon [E, S] (s) -> Motion [E, S], by the planner, or by the rule of an agent's driver
     perceive: World -> Perception of all vehicles
+    guard: World, Perception, Motion [E, V] -> the same with what the safety layer lets the ego drive, and the layer's
+        interventions [E] int64 (`negopipe.safety.layer`)
     step: World, Motion [E, V] -> World, Events
     draw: Perception of one agent -> observations [E, *obs]
-    drive: World, horizon [E, V] (s) -> World, Events: perceive, plan and step in one call, for all vehicles
+    drive: World, horizon [E, V] (s) -> World, Events: perceive, plan, guard and step in one call, for all vehicles
     advance: World, horizon [E, V] (s) -> World, Events, observations of the ego: `drive` and `see` in one call
     see: World -> observations of the ego [E, *obs]: perceive and draw in one call
     see_as: World, vehicle [E] int64 -> observations of that vehicle [E, *obs]
@@ -74,6 +81,7 @@ class Game:
     choose: Callable[[World, Tensor], Tensor]
     plan: Callable[[Perception, Tensor], Motion]
     perceive: Callable[[World], Perception]
+    guard: Callable[[World, Perception, Motion], tuple[World, Motion, Tensor]]
     step: Callable[[World, Motion], tuple[World, Events]]
     draw: Callable[[Perception], Tensor]
     drive: Callable[[World, Tensor], tuple[World, Events]]
@@ -87,23 +95,24 @@ class Game:
 def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compiled: bool = False) -> Game:
     """The game of a configuration; nothing in it depends on a task."""
     scenario, sensor = config.scenario, _sensor(config, device)
-    simulator = Simulator(scenario, sensor, build_dynamics(config.dynamics, scenario.dt_s), device)
+    simulator = _simulator(config, sensor, device)
+    guard = Guard(config.safety, simulator)
     frenet = FrenetPlanner(config.planner, simulator.road, scenario.sizes, scenario.dt_s, device)
     cast = Cast(config.population, simulator)
     observation = build_observation(config.observation, simulator)
-    kind = torch.device(device).type
-    compilers: dict[str, Callable[[Callable], Callable]] = {"cpu": _compile, "cuda": GraphedFunction}
-    compiler = compilers[kind] if is_compiled else None
+    accelerate = _accelerator(torch.device(device).type, is_compiled)
 
     def plan(perception: Perception, horizon: Tensor) -> Motion:
-        return cast.drive(perception, horizon, frenet.plan)
+        return guard.decided(perception, cast.drive(perception, horizon, frenet.plan))
 
     def step(world: World, motion: Motion) -> tuple[World, Events]:
         moved, events = simulator.step(world, motion.state)
         return replace(moved, last_horizon=motion.horizon), events
 
     def drive(world: World, horizon: Tensor) -> tuple[World, Events]:
-        return step(world, plan(sensor.perceive(world), horizon))
+        perception = sensor.perceive(world)
+        world, motion, _ = guard.guard(world, perception, plan(perception, horizon))
+        return step(world, motion)
 
     def advance(world: World, horizon: Tensor) -> tuple[World, Events, Tensor]:
         moved, events = drive(world, horizon)
@@ -111,9 +120,6 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
 
     def see(world: World) -> Tensor:
         return observation.draw(sensor.perceive(world).of(EGO))
-
-    def accelerate(fn: Callable) -> Callable:
-        return ChunkedFunction(fn, CHUNKS[kind], compiler)
 
     def watch(shown: Observation) -> Callable[[World, Tensor], Tensor]:
         return accelerate(lambda world, vehicle: shown.draw(sensor.perceive(world).of_each(vehicle)))
@@ -125,6 +131,7 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         choose=World.horizons,
         plan=accelerate(plan),
         perceive=sensor.perceive,
+        guard=accelerate(guard.guard) if guard.layer else guard.guard,
         step=accelerate(step),
         draw=accelerate(observation.draw),
         drive=accelerate(drive),
@@ -134,6 +141,18 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         watch=watch,
         observation_shape=observation.shape,
     )
+
+
+def _accelerator(kind: str, is_compiled: bool) -> Callable[[Callable], Callable]:
+    """Functions of worlds, in chunks on a kind of device, compiled or not."""
+    compilers: dict[str, Callable[[Callable], Callable]] = {"cpu": _compile, "cuda": GraphedFunction}
+    compiler = compilers[kind] if is_compiled else None
+    return lambda fn: ChunkedFunction(fn, CHUNKS[kind], compiler)
+
+
+def _simulator(config: GameConfig, sensor: Sensor, device: torch.device | str) -> Simulator:
+    dynamics = build_dynamics(config.dynamics, config.scenario.dt_s)
+    return Simulator(config.scenario, sensor, dynamics, device, n_kept(config.safety))
 
 
 def _sensor(config: GameConfig, device: torch.device | str) -> Sensor:

@@ -22,14 +22,13 @@ from negopipe.planner.longitudinal import LongitudinalCandidates, LongitudinalSa
 from negopipe.planner.prediction import predict
 from negopipe.planner.reversing import Reversing
 from negopipe.planner.roadside import Roadside
-from negopipe.planner.situation import Others, Situation
+from negopipe.planner.situation import Situation
 from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import AT_REST_MPS, Motion
 from negopipe.simulation.waiting_place import Passage
-from negopipe.tensors.materialize import materialize
 from negopipe.tensors.tree import map_tensors
 
 STANDING_M = 1e-3
@@ -114,17 +113,7 @@ class FrenetPlanner:
 
     def situation(self, perception: Perception, horizon: Tensor) -> Situation:
         """Situation of all agents, with their prediction horizons [E, S] (s), N = E S."""
-        own = map_tensors(_flatten, perception.own)
-        other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
-        direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
-        *fields, direction, desired_speed = materialize(*self.road.to_route(own, direction), direction, desired_speed)
-        is_seen, *other_size = (
-            _flatten(field).transpose(0, 1)
-            for field in (perception.is_seen, perception.other_length, perception.other_width)
-        )
-        others = Others.of(self.road, other, direction, is_seen, self.sizes.of(*other_size))
-        size = self.sizes.of(perception.length.flatten(), perception.width.flatten())
-        return Situation(RouteState(*fields), direction, desired_speed, horizon.flatten(), size, others)
+        return Situation.of(self.road, self.sizes, perception, horizon)
 
     def _ahead(self, now: Situation) -> tuple[RouteState, Tensor]:
         """State one step forwards along the best trajectory, and whether it is full braking; fields [N]."""
@@ -316,10 +305,6 @@ class _Rule(NamedTuple):
 
     free_m: Tensor
     allows: Callable[[Tensor, Tensor], Tensor]
-
-
-def _flatten(field: Tensor) -> Tensor:
-    return field.flatten(0, 1)
 
 
 def _parked_clearance(config: ClearanceConfig, ahead: Tensor) -> Tensor:

@@ -48,7 +48,7 @@ class LateralCandidates:
         self.n_candidates = config.n_candidates
         offsets, lengths = torch.tensor(pairs, device=device).T.contiguous()
         self.offset: Tensor = offsets[:, None]  # [L, 1] m
-        self._length = lengths  # [L] m
+        self.length: Tensor = lengths  # [L] m
         maps = torch.stack([quintic(length) for _, length in pairs]).to(device, torch.float32)
         self._from_state = maps[:, :, :3].transpose(0, 1).flatten(0, 1).contiguous()  # [6 L, 3]: of d, d', d''
         self._from_target = (maps[:, :, 3] * offsets[:, None]).T[..., None].contiguous()  # [6, L, 1]
@@ -69,7 +69,7 @@ class LateralCandidates:
         """
         extra = travelled.dim() - 1
         columns = tuple(c.reshape(c.shape[0], *[1] * extra, c.shape[1]) for c in coefficients)
-        length = self._length.reshape(-1, *[1] * travelled.dim())
+        length = self.length.reshape(-1, *[1] * travelled.dim())
         d, d_prime, d_pprime = evaluate(columns, torch.minimum(travelled.clamp(min=0), length))
         route_d, route_d_prime, route_d_pprime = self.road.route_offset(start_s + travelled, direction)
         return PathPoint(route_d + d, route_d_prime + d_prime, route_d_pprime + d_pprime)

@@ -68,19 +68,26 @@ class PredictedPath(NamedTuple):
 def predict(
     config: PredictionConfig, road: Road, others: Others, viewer_direction: Tensor, times: Tensor
 ) -> PredictedPath:
-    """Predicted poses of `others` [O, N] at `times` [T] (s), in the frames of their viewers.
+    """Predicted poses of `others` [O, N] at `times` [T] (s), in the frames of their viewers [N]."""
+    return along_routes(road, others, viewer_direction, config.travelled(others.route, times), config.offset_decay_m)
+
+
+def along_routes(
+    road: Road, others: Others, viewer_direction: Tensor, travelled: Tensor, offset_decay_m: float
+) -> PredictedPath:
+    """Poses of `others` [O, N] after distances `travelled` [O, T, N] (m), in the frames of their viewers.
 
     The lateral offset from the route decays with the distance driven, so a standing vehicle stays in its place. The
     driving direction is that of the perceived heading.
 
     viewer_direction: [N]
+    offset_decay_m: distance over which the offset decays to 1/e
     """
     now, direction = others.route, others.direction
-    travelled = config.travelled(now, times)
     s = now.s[..., None, :] + travelled
     route_d, route_d_prime, _ = road.route_offset(s, direction[..., None, :])
     route_d_now, route_d_prime_now, _ = road.route_offset(now.s, direction)
-    fading = torch.exp(-travelled.abs() / config.offset_decay_m)
+    fading = torch.exp(-travelled.abs() / offset_decay_m)
     offset = (now.d - route_d_now)[..., None, :] * fading
     tan_heading = route_d_prime + (now.d_prime - route_d_prime_now)[..., None, :] * fading
     if not road.is_straight:

@@ -6,9 +6,12 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.geometry import Size
+from negopipe.simulation.perception import Perception
 from negopipe.simulation.road import Road, RouteState
+from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import VehicleState
 from negopipe.tensors.materialize import materialize
+from negopipe.tensors.tree import map_tensors
 
 
 class Others(NamedTuple):
@@ -68,3 +71,22 @@ class Situation(NamedTuple):
     horizon: Tensor
     size: Size
     others: Others
+
+    @staticmethod
+    def of(road: Road, sizes: Sizes, perception: Perception, horizon: Tensor) -> "Situation":
+        """Situation of all agents, with their prediction horizons [E, S] (s), N = E S."""
+        own = map_tensors(_flatten, perception.own)
+        other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
+        direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
+        *fields, direction, desired_speed = materialize(*road.to_route(own, direction), direction, desired_speed)
+        is_seen, *other_size = (
+            _flatten(field).transpose(0, 1)
+            for field in (perception.is_seen, perception.other_length, perception.other_width)
+        )
+        others = Others.of(road, other, direction, is_seen, sizes.of(*other_size))
+        size = sizes.of(perception.length.flatten(), perception.width.flatten())
+        return Situation(RouteState(*fields), direction, desired_speed, horizon.flatten(), size, others)
+
+
+def _flatten(field: Tensor) -> Tensor:
+    return field.flatten(0, 1)

@@ -1,7 +1,8 @@
 """Bird's-eye animations of evaluated episodes, in real time, as GIF; single frames as PNG.
 
 One panel per planner and, with a `PolicyTrace`, a row below with the policy's grids, if it sees any, and the
-probabilities of its horizons. The ribbon ahead of a social vehicle is the ego's prediction of it: its path within the
+probabilities of its horizons. While the safety layer drives, its name for that stands in the place of the horizon. The
+ribbon ahead of a social vehicle is the ego's prediction of it: its path within the
 prediction horizon at its present speed, in the colour of that horizon; an infinite one predicts as far as a plan.
 """
 
@@ -34,6 +35,7 @@ from negopipe.report.scene import (
     view_limits,
 )
 from negopipe.report.style import CORRIDOR, INK, OUTCOME_COLORS, QUIET, horizon_color, planner_colors, styled
+from negopipe.safety.layer import INTERVENTIONS
 from negopipe.simulation.state import EGO
 
 WIDTH_PX, TOP_PX, HEADER_PX, DPI = 640, 26, 26, 100
@@ -217,6 +219,9 @@ class _Panel:
             glass = (0.14 * length, 0.3 * length)
             windscreen.set_xy(box_corners(position[vehicle], yaw[vehicle], glass, 0.8 * width))
         self._show_prediction(position, yaw, speed, np.nan if step >= end else horizon_s)
+        intervention = self.trace.intervention[min(int(step), end - 1), self.episode]
+        if intervention > 0 and step < end:
+            self.horizon.set_text(f"safety: {INTERVENTIONS[intervention].replace('_', ' ')}")
         self._show_status(step >= end, position, speed)
         return self._moving()
 

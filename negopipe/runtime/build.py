@@ -47,7 +47,8 @@ def game_of(config: "RunConfig") -> Game:
 
     Checkpoints drive the social vehicles that the population gives them; no policy is there for the kind `self`.
     """
-    parts = (config.scenario, config.population, config.planner, config.observation, config.perception, config.dynamics)
+    rules = (config.scenario, config.population, config.perception, config.dynamics)
+    parts = (*rules, config.planner, config.safety, config.observation)
     key = repr((parts, config.device, config.compile))
     if key not in _built:
         _built.clear()

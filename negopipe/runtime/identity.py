@@ -20,6 +20,7 @@ _GAME = (
     "perception",
     "dynamics",
     "planner",
+    "safety",
     "observation",
     "policy",
 )

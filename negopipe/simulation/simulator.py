@@ -49,14 +49,21 @@ class Simulator:
 
     sensor: of every vehicle; a world remembers as much as it needs
     dynamics: motion of the vehicles towards the states that their drivers want
+    n_kept: K, numbers that the safety layer keeps of a stop
     """
 
     def __init__(
-        self, scenario: ScenarioConfig, sensor: Sensor, dynamics: Dynamics, device: torch.device | str = "cpu"
+        self,
+        scenario: ScenarioConfig,
+        sensor: Sensor,
+        dynamics: Dynamics,
+        device: torch.device | str = "cpu",
+        n_kept: int = 0,
     ) -> None:
         self.scenario, self.sizes = scenario, scenario.sizes
         self.sensor = sensor
         self.dynamics = dynamics
+        self.n_kept = n_kept
         self.road = build_road(scenario, device)
         others = other_columns(scenario.n_vehicles, device)
         self.collisions = CollisionCheck(self.road, scenario.dt_s, others)
@@ -82,6 +89,7 @@ class Simulator:
             speed_history=self._repeat(vehicles.speed),
             command_queue=s.new_zeros(len(task), self.dynamics.delay_steps, s.shape[1], 2),
             tracks=no_tracks(s),
+            kept_stop=s.new_full((len(task), self.n_kept), torch.nan),
         )
         return replace(world, tracks=self.sensor.first_tracks(world))
 
@@ -126,6 +134,7 @@ class Simulator:
             speed_history=torch.cat([motion.speed[:, None], world.speed_history[:, :-1]], dim=1),
             command_queue=command_queue,
             tracks=world.tracks,
+            kept_stop=world.kept_stop,
         )
         moved = replace(moved, tracks=self.sensor.next_tracks(moved))
         return moved, self._events(moved, s)

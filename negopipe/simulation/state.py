@@ -182,6 +182,8 @@ class World:
     speed_history: [E, K, V] float32, m/s, of the same states
     command_queue: [E, D, V, 2] float32, commands on their way to the actuators (`dynamics.Dynamics.move`)
     tracks: Tracks, what each vehicle's tracker holds of the others
+    kept_stop: [E, K] float32, path of the stop that the ego's last plan left it (`negopipe.safety`), NaN at the start
+        of an episode; K = 0 without a safety layer
     """
 
     vehicles: VehicleState
@@ -197,6 +199,7 @@ class World:
     speed_history: Tensor
     command_queue: Tensor
     tracks: Tracks
+    kept_stop: Tensor
 
     @property
     def style_horizon(self) -> Tensor:

@@ -68,7 +68,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     tracked.log_artifact(tracked.folder / EPISODES_NAME)
     tracked.log_metrics(charts(summary), step=0)
     log_summary(config, tracked, results)
-    for line in terminal_table(summary):
+    for line in (*terminal_table(summary), *intervention_lines(table)):
         log.info(line)
 
 
@@ -167,6 +167,16 @@ def charts(summary: Mapping[str, Any]) -> dict[str, float]:
         for measure in measures.MEASURES
         if measure.is_charted and (value := values[measure.name]) is not None
     }
+
+
+def intervention_lines(table: pd.DataFrame) -> list[str]:
+    """Lines about the planners whose plans the safety layer replaced, from rows of episodes.csv."""
+    sums = table.groupby(["setting", "planner"], sort=False)[["intervention_count", "n_decisions"]].sum()
+    return [
+        f"safety layer: {count} of {n} plans of {planner} in {setting} replaced"
+        for (setting, planner), (count, n) in zip(sums.index, sums.itertuples(index=False), strict=True)
+        if count > 0
+    ]
 
 
 def terminal_table(summary: Mapping[str, Any]) -> list[str]:

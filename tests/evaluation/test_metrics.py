@@ -41,6 +41,7 @@ def make_trace(ego_speed: list[float], n_steps: int, reached: tuple[int, int], o
         progress_m=progress,
         horizon_s=np.full((n_states - 1, 1, 2), 2.0, dtype=np.float32),
         is_full_braking=np.zeros((n_states - 1, 1, 2), dtype=bool),
+        intervention=np.zeros((n_states - 1, 1), dtype=np.int8),
         reward=np.full((n_states - 1, 1), -0.25, dtype=np.float32),
         n_steps=np.array([n_steps]),
         reached_step=np.array([reached]),
@@ -56,7 +57,7 @@ def concatenate(*traces: Trace) -> Trace:
     """Several one-episode traces of equal length as one trace."""
     axis = {"start_distance_m": 0, "style_horizon_s": 0, "driver": 0, "n_steps": 0, "reached_step": 0, "outcome": 0}
     axis |= dict.fromkeys(("position_m", "yaw_rad", "speed_mps", "progress_m"), 1)
-    axis |= dict.fromkeys(("horizon_s", "is_full_braking", "reward"), 1)
+    axis |= dict.fromkeys(("horizon_s", "is_full_braking", "intervention", "reward"), 1)
     merged = {name: np.concatenate([getattr(t, name) for t in traces], i) for name, i in axis.items()}
     return replace(traces[0], **merged)
 

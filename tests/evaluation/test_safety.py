@@ -61,6 +61,7 @@ def make_trace(social_x_m: list[list[float]]) -> Trace:
         progress_m=x,
         horizon_s=np.zeros((n - 1, 1, n_vehicles)),
         is_full_braking=np.zeros((n - 1, 1, n_vehicles), dtype=bool),
+        intervention=np.zeros((n - 1, 1), dtype=np.int8),
         reward=np.zeros((n - 1, 1)),
         n_steps=np.array([n - 1]),
         reached_step=np.full((1, n_vehicles), -1),

@@ -34,6 +34,7 @@ def make_trace(planner: str, seed: int) -> Trace:
         progress_m=floats(6, 3, 2),
         horizon_s=floats(5, 3, 2),
         is_full_braking=rng.random((5, 3, 2)) < 0.5,
+        intervention=rng.integers(0, 4, (5, 3), dtype=np.int8),
         reward=floats(5, 3),
         n_steps=rng.integers(1, 6, 3),
         reached_step=rng.integers(-1, 6, (3, 2)),
@@ -73,5 +74,5 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
 def test_a_file_of_another_format_names_the_stage_that_writes_it_anew(tmp_path: Path) -> None:
     with (tmp_path / "traces.npz").open("wb") as file:
         np.savez(file, format=np.array("negopipe traces 1"), n_traces=np.array(0))
-    with pytest.raises(UserError, match="format 'negopipe traces 4'; run the stage `evaluate` anew"):
+    with pytest.raises(UserError, match="format 'negopipe traces 5'; run the stage `evaluate` anew"):
         load_traces(tmp_path / "traces.npz")

@@ -98,6 +98,7 @@ def _finish(
         progress_m=s.astype(np.float32),
         horizon_s=horizon.astype(np.float32),
         is_full_braking=np.zeros(horizon.shape, dtype=bool),
+        intervention=np.zeros(horizon.shape[:2], dtype=np.int8),
         reward=reward.astype(np.float32),
         n_steps=n_steps,
         reached_step=reached,

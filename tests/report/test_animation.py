@@ -137,3 +137,15 @@ def test_without_grids_the_probabilities_are_drawn(traces: list[Trace], scene: S
     assert row.images == []
     assert [bar.get_width() for bar in row.bars] == pytest.approx([0.1, 0.2, 0.3, 0.4])
     assert film.draw(0.0).height > _Film(traces[:1], 0, scene, FIXED_S).draw(0.0).height
+
+
+def test_an_intervention_of_the_safety_layer_is_told(traces: list[Trace], scene: Scene) -> None:
+    intervention = np.zeros_like(traces[0].intervention)
+    intervention[2] = 2
+    film = _Film([replace(traces[0], intervention=intervention)], 0, scene, FIXED_S, None)
+    texts = []
+    for step in (1, 2, 3):
+        film.draw((step + 0.5) * traces[0].dt_s)
+        texts.append(film.panels[0].horizon.get_text())
+    assert texts[1] == "safety: planned stop"
+    assert "safety" not in texts[0] + texts[2]
