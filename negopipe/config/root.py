@@ -15,6 +15,7 @@ from negopipe.benchmark.speed import BenchmarkConfig
 from negopipe.checks import Foresight, Memory, Problem
 from negopipe.config.messages import explain_composition, explain_validation, misread
 from negopipe.config.renamed import renamings
+from negopipe.deployment.options import ExportConfig
 from negopipe.errors import UserError, abbreviate
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.episodes import EvaluationConfig
@@ -35,7 +36,7 @@ from negopipe.simulation.starts import check_starts
 from negopipe.simulation.state import world_memory
 from negopipe.tracking.store import TrackingConfig
 
-Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "streets", "benchmark"]
+Stage = Literal["train", "evaluate", "report", "replay", "behaviour_map", "oracle", "streets", "benchmark", "export"]
 
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 """Name of an episode, `<setting>/<planner>/<number>`: three columns of episodes.csv."""
@@ -83,6 +84,7 @@ class RunConfig:
     report: ReportConfig
     tracking: TrackingConfig
     benchmark: BenchmarkConfig
+    export: ExportConfig
 
     @property
     def evaluated_families(self) -> Families:
