@@ -1,18 +1,20 @@
 """Check of an export: onnxruntime and torch on the same held-out decisions, driven by torch.
 
-`python -m negopipe.deployment.verify <folder> [--decisions N]` prints how many of the actions are the same and the
-largest difference of a logit. Actions may differ where the two largest logits are closer than rounding; such ties are
-counted. The exit status is 1 where any other action differs, or a logit by more than `TOLERANCE`.
+`python -m negopipe.deployment.verify <folder> [--decisions N] [--table FILE]` prints how many of the actions are the
+same and the largest difference of a logit. Actions may differ where the two largest logits are closer than rounding;
+such ties are counted. With --table the figures become a row of a CSV file. The exit status is 1 where any other action
+differs, or a logit by more than `TOLERANCE`.
 """
 
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import torch
 from omegaconf import OmegaConf
 from torch import Tensor
@@ -28,6 +30,7 @@ from negopipe.policy.actor_critic import greedy_action
 from negopipe.runtime.build import load_policy, with_learned
 from negopipe.tensors.torch_settings import own_settings
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
+from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
@@ -35,6 +38,9 @@ if TYPE_CHECKING:
 COMMAND = "python -m negopipe.deployment.verify"
 TOLERANCE = 1e-4
 """Largest difference of a logit."""
+COLUMNS = {"export": str, "n_by_action": str, "logit_error": float, "n_*": int}
+ROWS = CsvKind(COMMAND, COLUMNS, "%.2g")
+"""A row per export; `Parity` says what the columns are."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +72,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--decisions", type=int, help="number of decisions; export.n_decisions of the export by default"
     )
+    parser.add_argument("--table", type=Path, help="CSV file that gets a row; one of the same export is replaced")
     given = parser.parse_args(arguments)
     try:
         parity = verify(given.folder, given.decisions)
+        if given.table is not None:
+            add_row(given.table, given.folder.resolve().name, parity)
     except UserError as error:
         print(error, file=sys.stderr)
         return 1
@@ -76,6 +85,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"by action  {', '.join(map(str, parity.n_by_action))}")
     print(f"logits     differ by at most {parity.logit_error:.2g}, {TOLERANCE:g} is allowed")
     return 0 if parity.is_good else 1
+
+
+def add_row(path: Path, name: str, parity: Parity) -> None:
+    """Write a row of the figures into a table, in the place of one with the same name."""
+    figures = {field.name: getattr(parity, field.name) for field in fields(parity)}
+    figures["n_by_action"] = " ".join(map(str, parity.n_by_action))
+    row = pd.DataFrame([{"export": name, **figures}])
+    rows = [read_csv(path, ROWS)] if path.is_file() else []
+    others = [table[table["export"] != name] for table in rows]
+    write_csv(path, pd.concat([*others, row], ignore_index=True), ROWS)
 
 
 @own_settings()

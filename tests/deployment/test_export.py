@@ -12,9 +12,10 @@ from negopipe.config.root import RunConfig
 from negopipe.deployment.export import export, main
 from negopipe.deployment.manifest import MANIFEST_NAME, POLICY_NAME, SELFTEST_NAME, read_manifest
 from negopipe.deployment.onnx_file import open_onnx
-from negopipe.deployment.verify import compare, verify
+from negopipe.deployment.verify import ROWS, add_row, compare, total, verify
 from negopipe.policy.kinds import build_policy
 from negopipe.runtime.build import save_policy
+from negopipe.tracking.csv_file import read_csv
 
 pytest.importorskip("onnxscript")
 pytest.importorskip("onnxruntime")
@@ -84,3 +85,15 @@ def test_the_command_says_in_a_line_what_is_wrong(capsys: pytest.CaptureFixture[
     given = ["pretrained/yield", str(tmp_path), "+experiment=yield", "policy.horizons_s=[0.0,2.0]"]
     assert main(given) == 1
     assert "policy.horizons_s must be" in capsys.readouterr().err
+
+
+def test_a_row_takes_the_place_of_the_same_export(tmp_path: Path) -> None:
+    logits = torch.tensor([[1.0, 2.0], [3.0, 1.0]])
+    parity = compare(logits, logits.numpy())
+    for name, of in {"one": parity, "two": parity}.items():
+        add_row(tmp_path / "export.csv", name, of)
+    add_row(tmp_path / "export.csv", "one", total([parity, parity]))
+    table = read_csv(tmp_path / "export.csv", ROWS)
+    assert table["export"].tolist() == ["two", "one"]
+    assert table["n_same"].tolist() == [2, 4]
+    assert table["n_by_action"].tolist() == ["1 1", "2 2"]
