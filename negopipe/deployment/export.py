@@ -3,6 +3,7 @@
 `python -m negopipe.deployment.export <checkpoint> <folder> [override ...]` writes into the folder
 
     policy.onnx             observations -> logits and value
+    decision.onnx           states and street -> horizon and trajectory, where `export.files` names it
     selftest.npz            driven observations and the outputs that torch gives for them
     checkpoint.safetensors  the weights, for the check by `python -m negopipe.deployment.verify <folder>`
     export.json             all that these depend on: observation, horizons, config, versions, hashes
@@ -15,6 +16,7 @@ import io
 import logging
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,11 +26,21 @@ import torch
 
 from negopipe.config.compose import compose_config
 from negopipe.config.root import as_mapping
+from negopipe.deployment.decision import Decision
+from negopipe.deployment.decision_file import StreetInputs, arguments_of, write_decision
 from negopipe.deployment.driven import drive_held_out
-from negopipe.deployment.manifest import MANIFEST_NAME, POLICY_NAME, SELFTEST_NAME, file_hash, manifest_text
+from negopipe.deployment.manifest import (
+    DECISION_NAME,
+    MANIFEST_NAME,
+    POLICY_NAME,
+    SELFTEST_NAME,
+    file_hash,
+    manifest_text,
+)
 from negopipe.deployment.onnx_file import NEEDED, need_packages
 from negopipe.deployment.policy_file import exported, selftest, write_policy
 from negopipe.errors import UserError
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.game.game import Game, build_game
 from negopipe.policy.actor_critic import Policy, greedy_action
 from negopipe.runtime.build import load_policy, with_learned
@@ -69,12 +81,25 @@ def export(config: "RunConfig", checkpoint: Path, folder: Path) -> list[Path]:
     policy = exported(load_policy(checkpoint, config))
     game = build_game(config)
     observations = driven_observations(config, game, policy, config.export.n_selftest)
+    names = [CHECKPOINT_NAME, POLICY_NAME, SELFTEST_NAME]
     write_whole(folder / CHECKPOINT_NAME, checkpoint.read_bytes())
     write_policy(folder / POLICY_NAME, policy, observations, config.export.opset)
     write_whole(folder / SELFTEST_NAME, npz_bytes(selftest(policy, observations)))
-    names = [CHECKPOINT_NAME, POLICY_NAME, SELFTEST_NAME]
+    if "decision" in config.export.files:
+        names.append(DECISION_NAME)
+        _write_decision(config, game, policy, folder / DECISION_NAME)
     write_whole(folder / MANIFEST_NAME, manifest_text(_content(config, folder), folder, names).encode())
     return [folder / name for name in (*names, MANIFEST_NAME)]
+
+
+def _write_decision(config: "RunConfig", game: Game, policy: Policy, path: Path) -> None:
+    """Write decision.onnx by the first decision of a held-out task."""
+    one = replace(config, evaluation=replace(config.evaluation, n_episodes=1))
+    world = game.simulator.reset(held_out_tasks(one, game, config.evaluation.leading_setting))
+    with torch.no_grad():
+        decision = Decision(config, policy).eval()
+        (arguments,) = arguments_of(config, game, StreetInputs(config, game, decision), world)
+        write_decision(path, decision, arguments, config)
 
 
 @own_settings()  # which torch.export, that writes the files, cannot stand

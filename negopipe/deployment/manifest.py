@@ -13,6 +13,7 @@ FORMAT = 1
 MANIFEST_NAME = "export.json"
 POLICY_NAME = "policy.onnx"
 SELFTEST_NAME = "selftest.npz"
+DECISION_NAME = "decision.onnx"
 
 
 def file_hash(path: Path) -> str:

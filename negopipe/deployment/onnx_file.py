@@ -5,10 +5,11 @@ import logging
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
+from torch.utils._pytree import tree_map
 
 from negopipe.errors import UserError
 from negopipe.tracking.whole_file import write_whole
@@ -30,29 +31,33 @@ def need_packages() -> None:
 def write_onnx(
     path: Path,
     module: nn.Module,
-    inputs: Mapping[str, Tensor],
+    inputs: Mapping[str, Any],
     outputs: Sequence[str],
     opset: int,
     batch: str | None = None,
 ) -> None:
     """Write a module in eval mode as one ONNX file, weights included.
 
-    inputs: an example of each argument of `forward`, by name
+    inputs: an example of each argument of `forward`, by name; an argument may be a dict of tensors, whose keys are then
+        names of inputs
     outputs: names of the tensors that `forward` returns
-    batch: name of a dynamic first axis of all inputs; None = all shapes are fixed
+    batch: name of a dynamic first axis of all inputs; None = all shapes are fixed, and the graph is so large that it is
+        left to onnxruntime to simplify it, which takes seconds there and minutes here
     """
+    names = [leaf for name, each in inputs.items() for leaf in (each if isinstance(each, dict) else [name])]
     dynamic = {name: {0: batch} for name in inputs} if batch else None
     with warnings.catch_warnings(), _quiet("torch.onnx", "torch.export", "onnxscript", "onnx_ir"):
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
             module.eval(),
-            kwargs={name: tensor.clone() for name, tensor in inputs.items()},  # aliased tensors would become one input
+            kwargs=tree_map(torch.clone, dict(inputs)),  # aliased tensors would become one input
             dynamo=True,
-            input_names=list(inputs),
+            input_names=names,
             output_names=list(outputs),
             opset_version=opset,
             dynamic_shapes=dynamic,
             external_data=False,
+            optimize=batch is not None,
             verbose=False,
         )
     assert program is not None

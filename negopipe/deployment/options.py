@@ -4,9 +4,25 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from negopipe.schema import Distinct, PositiveInt, schema
+from negopipe.deployment.tables import Capacity
+from negopipe.schema import Distinct, PositiveInt, PositiveMetres, schema
 
-ExportFile = Literal["policy"]
+ExportFile = Literal["policy", "decision"]
+
+
+@schema
+class CapacityConfig:
+    """Sizes of the largest street and of the traffic that an exported decision serves."""
+
+    reach_m: PositiveMetres
+    n_narrow_places: PositiveInt
+    n_parked: PositiveInt
+    n_off_road: PositiveInt
+    n_others: PositiveInt
+
+    @property
+    def street(self) -> Capacity:
+        return Capacity(self.reach_m, self.n_narrow_places, self.n_parked, self.n_off_road)
 
 
 @schema
@@ -18,3 +34,4 @@ class ExportConfig:
     n_selftest: PositiveInt
     n_decisions: PositiveInt
     n_worlds: PositiveInt
+    capacity: CapacityConfig

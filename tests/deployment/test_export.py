@@ -13,6 +13,7 @@ from negopipe.deployment.export import export, main
 from negopipe.deployment.manifest import MANIFEST_NAME, POLICY_NAME, SELFTEST_NAME, read_manifest
 from negopipe.deployment.onnx_file import open_onnx
 from negopipe.deployment.verify import ROWS, add_row, compare, total, verify
+from negopipe.deployment.verify_decision import verify_decision
 from negopipe.policy.kinds import build_policy
 from negopipe.runtime.build import save_policy
 from negopipe.tracking.csv_file import read_csv
@@ -97,3 +98,12 @@ def test_a_row_takes_the_place_of_the_same_export(tmp_path: Path) -> None:
     assert table["export"].tolist() == ["two", "one"]
     assert table["n_same"].tolist() == [2, 4]
     assert table["n_by_action"].tolist() == ["1 1", "2 2"]
+
+
+@pytest.mark.slow
+def test_a_whole_decision_is_the_planners(tmp_path: Path) -> None:
+    """The graph takes minutes to write."""
+    given = ["pretrained/yield", str(tmp_path), "+experiment=yield", "export.n_selftest=4", "export.n_worlds=8"]
+    assert main([*given, "export.files=[policy,decision]"]) == 0
+    parity = verify_decision(tmp_path, n_decisions=80)
+    assert parity.n_same_horizon == parity.n_same == parity.n_same_step == parity.n_decisions == 80
