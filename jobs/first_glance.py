@@ -14,13 +14,13 @@ import numpy as np
 import torch
 
 from negopipe import load_config
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.horizon_text import from_text
 from negopipe.game.game import Game, build_game, has_compiler
 from negopipe.runtime.backend import keep_freed_memory
 from negopipe.search.oracle import Rollouts
 from negopipe.search.oracle_table import read_oracle
 from negopipe.simulation.state import Task
-from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tensors.tree import map_tensors
 
 

@@ -19,13 +19,13 @@ from negopipe.agents.horizon_drivers import by_horizon
 from negopipe.config.root import RunConfig
 from negopipe.evaluation.behaviour_map import Opponent
 from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.game.game import Game
 from negopipe.runtime.backend import prepare
 from negopipe.runtime.build import game_of
 from negopipe.simulation.state import Task
 from negopipe.stages.behaviour_map import map_tasks
-from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tracking.csv_file import CsvKind, write_csv
 
 SETTING, EGO_NAME = "mixture", "cautious"

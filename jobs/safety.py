@@ -27,6 +27,7 @@ from negopipe.agents.horizon_drivers import adaptive_planner
 from negopipe.config.root import RunConfig
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.episodes_file import Drives, episodes
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.statistics import rate
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.game.game import Game
@@ -35,7 +36,6 @@ from negopipe.runtime.build import game_of, load_policy
 from negopipe.safety.layer import INTERVENTIONS
 from negopipe.simulation.perception import Perception
 from negopipe.simulation.state import AT_REST_MPS, Motion
-from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tensors.stateless_rng import mix, uniform
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 

@@ -26,8 +26,9 @@ The map, lowest first: a package imports only what stands above it here, and its
     training      Algorithm 1: the loop, its record, the league, demonstrations, reuse
     benchmark     speed of simulator, planner and training, and what bounds it
     sweeping      a sweep's objective, Optuna search, the comparison of many runs
-    stages        train, evaluate, report, replay, behaviour_map, cross_play, oracle, streets, benchmark: functions of
-                  config, run
+    deployment    a trained policy outside of the repository: its export, and the check of an export
+    stages        train, evaluate, report, replay, behaviour_map, cross_play, oracle, streets, benchmark, export:
+                  functions of config, run
     envs          doors for other people's code: gymnasium, Stable-Baselines3
     __main__      the command line
 

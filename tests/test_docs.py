@@ -23,6 +23,8 @@ from documented import (
     unsupported,
 )
 
+from negopipe.deployment import export
+
 DOCS = ROOT / "docs"
 EXTENSION = DOCS / "_ext"
 N_WORDS = 1200
@@ -118,11 +120,17 @@ def test_a_wrong_figure_is_found() -> None:
 
 
 @pytest.mark.parametrize(("page", "program"), PROGRAMS, ids=[named(page) for page, _ in PROGRAMS])
-def test_python_of_a_page_runs(page: Path, program: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_of_a_page_runs(page: Path, program: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Blocks that import something; others are excerpts."""
     if "stable_baselines3" in program:
         pytest.importorskip("stable_baselines3")
     monkeypatch.chdir(ROOT)
+    if "onnxruntime" in program:
+        pytest.importorskip("onnxscript")
+        pytest.importorskip("onnxruntime")
+        monkeypatch.chdir(tmp_path)
+        few = ["export.files=[policy]", "export.n_selftest=4", "export.n_worlds=4"]
+        assert export.main(["pretrained/yield", "outputs/export/yield", "+experiment=yield", *few]) == 0
     exec(compile(program, named(page), "exec"), {})
 
 

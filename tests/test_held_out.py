@@ -5,10 +5,10 @@ import torch
 from composed import compose_config
 
 from negopipe.config.root import RunConfig
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.game.game import build_game
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task
-from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tensors.seeding import generator
 
 N = 4000

@@ -11,8 +11,8 @@ import negopipe
 
 PACKAGE = Path(negopipe.__file__).parent
 
-LOWER = {"benchmark.speed": "search"}
-"""Modules that stand lower than their package, beside another: the root config holds the benchmark's options."""
+LOWER = {"benchmark.speed": "search", "deployment.options": "search"}
+"""Modules that stand lower than their package, beside another: the root config holds their options."""
 
 APART = {
     ("policy", "learning"): {"errors", "checks", "schema", "tensors", "policy", "learning"},

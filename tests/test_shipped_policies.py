@@ -9,8 +9,8 @@ from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
 from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.episodes_file import Drives, episodes
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.runtime.build import build, load_weights
-from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tracking.checkpoint import find_checkpoint
 
 AT_LEAST = {"yield": {"push": 0.995, "yield": 0.995}, "mixture": {"mixture": 0.97}, "generalist": {"mixture": 0.97}}

@@ -15,6 +15,7 @@ from negopipe.benchmark.speed import BenchmarkConfig
 from negopipe.checks import Foresight, Memory, Problem
 from negopipe.config.messages import explain_composition, explain_validation, misread
 from negopipe.config.renamed import renamings
+from negopipe.deployment.options import ExportConfig
 from negopipe.errors import UserError, abbreviate
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.cross_play import CrossPlayConfig
@@ -38,7 +39,7 @@ from negopipe.simulation.state import world_memory
 from negopipe.tracking.store import TrackingConfig
 
 Stage = Literal[
-    "train", "evaluate", "report", "replay", "behaviour_map", "cross_play", "oracle", "streets", "benchmark"
+    "train", "evaluate", "report", "replay", "behaviour_map", "cross_play", "oracle", "streets", "benchmark", "export"
 ]  # fmt: skip
 
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
@@ -89,6 +90,7 @@ class RunConfig:
     report: ReportConfig
     tracking: TrackingConfig
     benchmark: BenchmarkConfig
+    export: ExportConfig
 
     @property
     def evaluated_families(self) -> Families:

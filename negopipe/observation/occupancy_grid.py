@@ -133,7 +133,11 @@ class OccupancyGrid:
         high = (end[..., None, :] - self._word_start).clamp(0, WORD_BITS).to(torch.int32)
         one = torch.ones_like(low)
         span = (torch.bitwise_left_shift(one, high) - torch.bitwise_left_shift(one, low)).clamp(min=0)
-        return reduce(torch.bitwise_or, span.unbind(-3))
+        return self._union(span)
+
+    def _union(self, spans: Tensor) -> Tensor:
+        """Words [..., K, H] of all rectangles together, from those [..., R, K, H] of each."""
+        return reduce(torch.bitwise_or, spans.unbind(-3))
 
     def _cells(self, rows: Tensor) -> Tensor:
         """Bits [..., K, H] -> cells [..., H, W] uint8, four at a time; the lowest byte of a word comes first."""

@@ -37,9 +37,7 @@ class StreetAhead:
         self.road = road
         longest_m = float(road.narrow_places[..., 1].max())
         self._n_knots = 2 + int((longest_m + 2 * AROUND_M) / KNOT_M)
-        s = -AROUND_M + KNOT_M * torch.arange(self._n_knots, device=road.device)
-        way = road.ways[:, None].expand(-1, self._n_knots)
-        self._table = _features(road, passage, s.expand_as(way), way).flatten(0, 1)  # [2B K, N_FEATURES]
+        self._table = tabulated(road, passage, self._n_knots, _parked(road))  # [2B K, N_FEATURES]
 
     def at(self, s: Tensor, direction: Tensor) -> Tensor:
         """[..., N_FEATURES] float32 at places s [...] (m) of vehicles that drive in `direction` [...]."""
@@ -50,9 +48,16 @@ class StreetAhead:
         return before + (place - knot)[..., None] * (after - before)
 
 
-def _features(road: Road, passage: Passage, s: Tensor, way: Tensor) -> Tensor:
+def tabulated(road: Road, passage: Passage, n_knots: int, parked: Tensor) -> Tensor:
+    """[2B K, N_FEATURES] at K knots of the ways; parked: [B, P, 4] m, sigma, d, length and width of cars."""
+    s = -AROUND_M + KNOT_M * torch.arange(n_knots, device=road.device)
+    way = road.ways[:, None].expand(-1, n_knots)
+    return _features(road, passage, s.expand_as(way), way, parked).flatten(0, 1)
+
+
+def _features(road: Road, passage: Passage, s: Tensor, way: Tensor, parked: Tensor) -> Tensor:
     """[2B, K, N_FEATURES] at places s [2B, K] of the ways [2B, K]."""
-    left, right = free_sides(road, s, way)
+    left, right = free_sides(road, s, way, parked)
     offset = road.route_offset(s, way)[0]
     first, last = road.narrow_place(s, way)
     is_narrow = (s >= first) & (s <= last)
@@ -62,11 +67,11 @@ def _features(road: Road, passage: Passage, s: Tensor, way: Tensor) -> Tensor:
     return torch.stack([left - offset, right + offset, curvature, is_narrow.float(), is_closed.float()], dim=-1)
 
 
-def free_sides(road: Road, s: Tensor, way: Tensor) -> tuple[Tensor, Tensor]:
+def free_sides(road: Road, s: Tensor, way: Tensor, parked: Tensor) -> tuple[Tensor, Tensor]:
     """Free width to the left and to the right of the line at s [2B, K], seen by a driver, m: to kerb or parked car."""
     sigma, is_along = road.sigma(s, way), (road.sign(way) > 0).expand_as(s)
     right, left = road.kerbs_at(sigma, way)
-    at, d, length, width = _parked(road).repeat_interleave(2, 0).unbind(-1)  # [2B, P] each
+    at, d, length, width = parked.repeat_interleave(2, 0).unbind(-1)  # [2B, P] each
     inner = d.abs() - width / 2
     is_beside = (sigma[..., None] - at[:, None]).abs() <= (length / 2 + BESIDE_M)[:, None]  # [2B, K, P]
     nearest = [

@@ -27,7 +27,7 @@ from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.sizes import Sizes
-from negopipe.simulation.state import AT_REST_MPS, Motion
+from negopipe.simulation.state import AT_REST_MPS, Motion, VehicleState
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.tree import map_tensors
 
@@ -52,6 +52,39 @@ class Paths(NamedTuple):
     path_per_road: Tensor
     path_per_road_prime: Tensor
     cost: Tensor
+
+
+class Choice(NamedTuple):
+    """The cheapest combinations of N vehicles that plan.
+
+    samples, stops: the longitudinal candidates; stops is None where the planner has none
+    best: [N] int64, flat index over L x C
+    is_full_braking: [N] bool, no combination is feasible
+    """
+
+    paths: Paths
+    samples: LongitudinalSamples
+    stops: BrakingSamples | None
+    best: Tensor
+    is_full_braking: Tensor
+
+    @property
+    def first_step(self) -> tuple[Tensor, ...]:
+        """The longitudinal candidates after one step: travelled, speed, accel, each [C, N]."""
+        first = tuple(field[:, 0] for field in self.samples[:3])
+        if self.stops is None:
+            return first
+        stopping = (self.stops.travelled[:, 0], self.stops.speed[:, 0], self.stops.accel)
+        return tuple(torch.cat(pair) for pair in zip(first, stopping, strict=True))
+
+    def all_steps(self, dt_s: float) -> tuple[Tensor, ...]:
+        """The same at all times, each [C, T, N]; from the second step on, the acceleration of a stop is its mean."""
+        if self.stops is None:
+            return tuple(self.samples[:3])
+        speed = self.stops.speed
+        accel = torch.cat([self.stops.accel[:, None], speed.diff(dim=1) / dt_s], dim=1)
+        stopping = (self.stops.travelled, speed, accel)
+        return tuple(torch.cat(pair) for pair in zip(self.samples[:3], stopping, strict=True))
 
 
 class FrenetPlanner:
@@ -111,20 +144,54 @@ class FrenetPlanner:
             is_full_braking.reshape(shape),
         )
 
+    def trajectory(self, perception: Perception, horizon: Tensor) -> tuple[VehicleState, Tensor]:
+        """The whole plan of every agent: states [E, S, T] at `times`, and whether it is full braking [E, S].
+
+        The first state is that of `plan`. Who drives backwards plans one step of that and then to come to rest.
+        """
+        now = self.situation(perception, horizon)
+        ahead = now._replace(route=now.route._replace(s_dot=now.route.s_dot.clamp(min=0)))
+        choice = self._choose(ahead)
+        route, is_full_braking = (
+            self._along(ahead, choice, choice.all_steps(self.dt_s), self.times[:, None]),
+            choice.is_full_braking,
+        )
+        if self.reversing is not None:
+            reverses, back = self.reversing.plan(now, RouteState(*(field[0] for field in route)))
+            back = self.reversing.to_rest(now, back, self.times)
+            route = RouteState(*(torch.where(reverses, b, a) for b, a in zip(back, route, strict=True)))
+            is_full_braking = is_full_braking & ~reverses
+        states = self.road.to_world(route, now.direction)
+        shape = horizon.shape
+        return (
+            map_tensors(lambda field: field.movedim(0, 1).reshape(*shape, len(self.times), *field.shape[2:]), states),
+            is_full_braking.reshape(shape),
+        )
+
     def situation(self, perception: Perception, horizon: Tensor) -> Situation:
         """Situation of all agents, with their prediction horizons [E, S] (s), N = E S."""
         return Situation.of(self.road, self.sizes, perception, horizon)
 
     def _ahead(self, now: Situation) -> tuple[RouteState, Tensor]:
         """State one step forwards along the best trajectory, and whether it is full braking; fields [N]."""
+        choice = self._choose(now)
+        return self._along(now, choice, choice.first_step, self.dt_s), choice.is_full_braking
+
+    def _choose(self, now: Situation) -> Choice:
         paths = self._paths(now)
         blocked = self._blocked(now, paths)
-        cost, first_step = self._assess(now, paths, blocked, self._rule(now), self._lingering_cost(now))
+        cost, samples, stops = self._assess(now, paths, blocked, self._rule(now), self._lingering_cost(now))
         cost, best = cost.flatten(0, 1).min(dim=0)
-        is_full_braking = torch.isinf(cost)
-        following, braking = self._follow(now, first_step, paths, best), self._brake(now, paths)
-        after = RouteState(*(torch.where(is_full_braking, b, f) for b, f in zip(braking, following, strict=True)))
-        return after, is_full_braking
+        return Choice(paths, samples, stops, best, torch.isinf(cost))
+
+    def _along(self, now: Situation, choice: Choice, steps: tuple[Tensor, ...], seconds: float | Tensor) -> RouteState:
+        """States along the choice at `seconds`: [N] after a number, [T, N] after times [T, 1].
+
+        steps: travelled, speed, accel of the longitudinal candidates then, [C, N] or [C, T, N]
+        """
+        following, braking = self._follow(now, steps, choice), self._brake(now, choice.paths, seconds)
+        is_full_braking = choice.is_full_braking
+        return RouteState(*(torch.where(is_full_braking, b, f) for b, f in zip(braking, following, strict=True)))
 
     def _blocked(self, now: Situation, paths: Paths) -> list[Blocked]:
         """What the predicted vehicles block, strictly, and for stops that may come closer."""
@@ -183,11 +250,8 @@ class FrenetPlanner:
         blocked: list[Blocked],
         rule: "_Rule | None",
         lingering_cost: Callable[[Tensor, Tensor], Tensor] | None,
-    ) -> tuple[Tensor, tuple[Tensor, ...]]:
-        """Costs [L, C, N] of all combinations, inf where one is not feasible.
-
-        Returns with them what the longitudinal candidates are after one step: travelled, speed, accel, each [C, N].
-        """
+    ) -> tuple[Tensor, LongitudinalSamples, BrakingSamples | None]:
+        """Costs [L, C, N] of all combinations, inf where one is not feasible, and their longitudinal candidates."""
         route, desired_speed = now.route, now.desired_speed
         at_stops = self._as_ego(now)
         samples = self.longitudinal.sample(at_stops, desired_speed)
@@ -198,9 +262,8 @@ class FrenetPlanner:
         if lingering_cost is not None:
             cost = cost + lingering_cost(samples.travelled, samples.speed)
         cost = torch.where(is_feasible, cost, torch.inf)
-        first_step = tuple(field[:, 0] for field in samples[:3])
         if self.braking.n_candidates == 0:
-            return cost, first_step
+            return cost, samples, None
         free_m = blocked[0].free_m
         stops = self.braking.sample(at_stops, free_m if rule is None else torch.minimum(free_m, rule.free_m))
         stop_cost = self._stop_cost(stops, paths, desired_speed)
@@ -214,9 +277,7 @@ class FrenetPlanner:
             stop_cost = stop_cost + lingering_cost(stops.travelled, stops.speed)
         if rule is not None:
             stop_cost = torch.where(rule.allows(stops.travelled, stops.speed), stop_cost, torch.inf)
-        stopping = (stops.travelled[:, 0], stops.speed[:, 0], stops.accel)
-        both = tuple(torch.cat(pair) for pair in zip(first_step, stopping, strict=True))
-        return torch.cat([cost, stop_cost], dim=1), both
+        return torch.cat([cost, stop_cost], dim=1), samples, stops
 
     def _as_ego(self, now: Situation) -> RouteState:
         """The route state of a vehicle as long as the ego with the same front: of such are the places of stops."""
@@ -264,35 +325,34 @@ class FrenetPlanner:
         lag = samples.speed - desired_speed
         return weights.jerk * samples.jerk.square().mean(1) + weights.speed * lag.square().mean(1)
 
-    def _follow(self, now: Situation, first_step: tuple[Tensor, ...], paths: Paths, best: Tensor) -> RouteState:
-        """State one step along the chosen combination [N] (flat index over L x C)."""
-        n_longitudinal = len(first_step[0])
-        row = (best % n_longitudinal)[None]
-        travelled, speed, accel = (field.gather(0, row)[0] for field in first_step)
+    def _follow(self, now: Situation, steps: tuple[Tensor, ...], choice: Choice) -> RouteState:
+        """State along the chosen combination; steps: of `_along`."""
+        n_longitudinal = len(steps[0])
+        travelled, speed, accel = (_chosen(field, choice.best % n_longitudinal) for field in steps)
         is_at_rest = speed < 1e-3  # m/s
         speed = torch.where(is_at_rest, 0.0, speed)
         accel = torch.where(is_at_rest, 0.0, accel)
         travelled = torch.where(is_at_rest & (now.route.s_dot == 0), 0.0, travelled.clamp(min=0))  # no creeping
-        return self._on_path(now, paths, best // n_longitudinal, (travelled, speed, accel))
+        return self._on_path(now, choice.paths, choice.best // n_longitudinal, (travelled, speed, accel))
 
-    def _brake(self, now: Situation, paths: Paths) -> RouteState:
-        """State one step into full braking, on the path that stays free the longest."""
+    def _brake(self, now: Situation, paths: Paths, seconds: float | Tensor) -> RouteState:
+        """State `seconds` into full braking, on the path that stays free the longest."""
         route = now.route
         path_per_road = path_shape(self.road, route.s, now.direction, route.d, route.d_prime, route.d_pprime)[1]
-        decel, dt = self.config.limits.full_braking_mps2 / path_per_road, self.dt_s  # the limit holds along the path
-        moving_s = (route.s_dot / decel).clamp(max=dt)
+        decel = self.config.limits.full_braking_mps2 / path_per_road  # the limit holds along the path
+        moving_s = (route.s_dot / decel).clamp(max=seconds)
         travelled = route.s_dot * moving_s - decel * moving_s**2 / 2
-        speed = (route.s_dot - decel * dt).clamp(min=0)
+        speed = (route.s_dot - decel * seconds).clamp(min=0)
         accel = torch.where(speed > 0, -decel, 0.0)
         return self._on_path(now, paths, paths.free_distance.argmax(0), (travelled, speed, accel))
 
     def _on_path(
         self, now: Situation, paths: Paths, chosen: Tensor, motion: tuple[Tensor, Tensor, Tensor]
     ) -> RouteState:
-        """State on the chosen path [N] with `motion`: distance travelled (m), speed (m/s), acceleration (m/s2), [N]."""
+        """State on the chosen path [N] with `motion`: distance travelled (m), speed (m/s), acceleration (m/s2)."""
         travelled, speed, accel = motion
         all_paths = self.lateral.follow(paths.coefficients, now.route.s, now.direction, travelled)
-        point = (field.gather(0, chosen[None])[0] for field in all_paths)
+        point = (_chosen(field, chosen) for field in all_paths)
         return RouteState(now.route.s + travelled, speed, accel, *point)
 
 
@@ -305,6 +365,11 @@ class _Rule(NamedTuple):
 
     free_m: Tensor
     allows: Callable[[Tensor, Tensor], Tensor]
+
+
+def _chosen(field: Tensor, row: Tensor) -> Tensor:
+    """[..., N] from candidates [C, ..., N]: of each vehicle that of its row [N]."""
+    return field.gather(0, row.expand(1, *field.shape[1:]))[0]
 
 
 def _parked_clearance(config: ClearanceConfig, ahead: Tensor) -> Tensor:

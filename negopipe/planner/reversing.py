@@ -78,6 +78,17 @@ class Reversing:
         goes = is_asked & is_free & (stays | (route.s_dot < 0)) & (way > ROUNDING_M) & (way <= self.config.length_m)
         return goes | (route.s_dot < 0), self._step(route, direction, torch.where(goes, way, 0.0), path)
 
+    def to_rest(self, now: Situation, back: RouteState, times: Tensor) -> RouteState:
+        """States [T, N] at `times` [T] (s): `back` [N] at the first of them, then coming to rest."""
+        route, direction, accel = now.route, now.direction, self.config.accel_mps2
+        speed = (-back.s_dot).clamp(min=0)
+        moving_s = torch.minimum((times[1:] - times[0])[:, None], speed / accel)
+        driven = route.s - back.s + moving_s * (speed - accel * moving_s / 2)
+        s, d, d_prime, d_pprime = self._at(route, direction, self._path(route, direction), driven)
+        left = speed - accel * moving_s
+        later = RouteState(s, -left, torch.where(left > 0, accel, 0.0), d, d_prime, d_pprime)
+        return RouteState(*(torch.cat([first[None], rest]) for first, rest in zip(back, later, strict=True)))
+
     def _is_in_the_way(self, now: Situation, way: Tensor) -> Tensor:
         """[N] bool: an oncoming vehicle that has not passed cannot do so, and does not make way itself."""
         route, direction, others = now.route, now.direction, now.others

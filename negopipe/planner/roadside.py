@@ -1,16 +1,15 @@
 """Check of planned footprints against what stands beside the road: kerbs and parked cars."""
 
+from functools import reduce
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from negopipe.planner.parked_rows import NO_ROW, parked_rows
 from negopipe.simulation.geometry import Size
 from negopipe.simulation.road import Road
 from negopipe.simulation.sizes import Sizes
-
-Row = tuple[float, float, float, float]
-"""Fields of a `ParkedRow`."""
 
 
 class ParkedRow(NamedTuple):
@@ -36,10 +35,6 @@ class Half(NamedTuple):
     width: Tensor
 
 
-NO_ROW = (0.0, 0.0, 1.0, 1e3)
-"""A row out of reach, for streets with fewer rows than others."""
-
-
 class Roadside:
     """Check of footprints, grown by clearances, against kerbs and parked cars.
 
@@ -54,7 +49,7 @@ class Roadside:
         self.clearance_m = clearance_m[:, None]  # [S, 1]
         self._one = self._half(sizes.ego) if sizes.is_one else None  # stored once: the planner's innermost loop
         room_m = float(sizes.smallest.width) + 2 * float(clearance_m.min())
-        rows = [_rows(cars, road.is_straight, room_m) for cars in road.parked_on_line]
+        rows = [parked_rows(cars, road.is_straight, room_m) for cars in road.parked_on_line]
         self.n_rows = max(map(len, rows))
         self._rows = torch.tensor([[*each, *[NO_ROW] * (self.n_rows - len(each))] for each in rows])
         self._rows = self._rows.to(road.device)  # [B, P, 4]
@@ -66,10 +61,9 @@ class Roadside:
         size: of the vehicles, [N] or floats
         """
         half = self._half(size) if self._one is None else self._one
-        excess = self._over_kerb(s, direction, d, d_prime, half)
-        for row in self.rows(direction):
-            excess = torch.maximum(excess, self._into_row(row, s, direction, d, d_prime, half))
-        return excess
+        return torch.maximum(
+            self._over_kerb(s, direction, d, d_prime, half), self._into_rows(s, direction, d, d_prime, half)
+        )
 
     def _half(self, size: Size) -> Half:
         return Half(size.length / 2 + self.clearance_m, size.width / 2 + self.clearance_m)
@@ -89,6 +83,11 @@ class Roadside:
         cos = torch.rsqrt(1 + tan_heading**2)
         reach = half.length * tan_heading.abs() * cos + half.width * cos
         return self.road.kerb_excess(s, direction, d, reach, sagitta)
+
+    def _into_rows(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, half: Half) -> Tensor:
+        """[L, S, N] m: largest depth by which a footprint reaches into a row."""
+        depths = [self._into_row(row, s, direction, d, d_prime, half) for row in self.rows(direction)]
+        return reduce(torch.maximum, depths)
 
     def _into_row(self, row: ParkedRow, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, half: Half) -> Tensor:
         """[L, S, N] m: depth by which a footprint reaches into a row.
@@ -111,25 +110,3 @@ class Roadside:
         height = half.length * sin + half.width * cos - torch.maximum(-steep * nearest, nearest / steep)
         alongside = row.half_length + half.length * cos + half.width * sin - ahead.abs()
         return torch.minimum(v * side + height - row.inner, alongside)
-
-
-def _rows(cars: list[tuple[float, float, float, float]], is_straight: bool, room_m: float) -> list[Row]:
-    """Rows of parked cars: neighbours with less than `room_m` between them; on a bent road every car by itself."""
-    rows: list[Row] = []
-    for sigma, d, length, width in sorted(cars):
-        row = (sigma, length / 2, 1.0 if d > 0 else -1.0, abs(d) - width / 2)
-        before = next((r for r in reversed(rows) if r[2] == row[2]), None)
-        if is_straight and before and _between(before, row) < room_m:
-            rows[rows.index(before)] = _joined(before, row)
-        else:
-            rows.append(row)
-    return rows
-
-
-def _between(first: Row, second: Row) -> float:
-    return second[0] - second[1] - first[0] - first[1]
-
-
-def _joined(first: Row, second: Row) -> Row:
-    start, end = first[0] - first[1], second[0] + second[1]
-    return (start + end) / 2, (end - start) / 2, first[2], min(first[3], second[3])

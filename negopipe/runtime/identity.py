@@ -35,10 +35,11 @@ DEPENDS_ON = {
     "oracle": (*_GAME, "evaluation", "oracle"),
     "streets": (*_GAME, "report"),
     "benchmark": (*_TRAINING, "n_threads", "evaluation", "benchmark", "tracking"),
+    "export": (*_TRAINING, "evaluation", "export"),
 }
 """Groups of the config that a stage's result depends on, including those of the stages that it builds on."""
 
-STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report", "replay", "cross_play")
+STARTS_FROM_CHECKPOINT = ("train", "evaluate", "report", "replay", "cross_play", "export")
 """Stages whose result also depends on `checkpoint`, the start of the training or, without training, the policy."""
 
 NEED_THE_ORACLE = ("evaluate", "report", "replay")

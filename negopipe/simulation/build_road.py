@@ -5,13 +5,14 @@ from functools import lru_cache
 import torch
 
 from negopipe.errors import UserError
+from negopipe.simulation.drawn_street import drawn_street
 from negopipe.simulation.drivable import is_drivable
+from negopipe.simulation.knot_tables import BEYOND_M
 from negopipe.simulation.map_road import build_map_road, map_rules
-from negopipe.simulation.one_street import BEYOND_M, OneStreet
+from negopipe.simulation.one_street import OneStreet
 from negopipe.simulation.road import Road
 from negopipe.simulation.road_config import RoadConfig, StreetConfig, StreetsConfig
 from negopipe.simulation.scenario import ScenarioConfig, VehicleConfig
-from negopipe.simulation.street import Street
 from negopipe.simulation.streets import Streets
 from negopipe.tensors.seeding import generator
 
@@ -82,7 +83,7 @@ def _is_good(table: Streets, streets: StreetsConfig, footprints: Footprints) -> 
 
 def _by_table(configs: tuple[StreetConfig, ...], device: torch.device | str) -> Streets:
     reach_m = BEYOND_M + max(config.reach_m for config in configs)
-    return Streets([Street.of(config, reach_m) for config in configs], device)
+    return Streets([drawn_street(config, reach_m) for config in configs], device)
 
 
 def _drivable_streets(

@@ -107,12 +107,3 @@ def rim(boxes: Boxes) -> tuple[Tensor, Tensor]:
 def wrap_angle(angle: Tensor) -> Tensor:
     """The same angle in [-pi, pi), rad."""
     return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
-
-
-def smoothstep(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Jerk-optimal step 10x^3 - 15x^4 + 6x^5 from 0 to 1 on [0, 1], constant outside, and two derivatives."""
-    x = x.clamp(0, 1)
-    value = x * x * x * (10 + x * (6 * x - 15))
-    first = 30 * x * x * (1 - x) * (1 - x)
-    second = 60 * x * (1 - x) * (1 - 2 * x)
-    return value, first, second

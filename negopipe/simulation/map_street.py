@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from negopipe.errors import UserError
 from negopipe.maps import MapStreet, free_sides
 from negopipe.maps.street import STEP_M
-from negopipe.simulation.geometry import smoothstep
-from negopipe.simulation.one_street import BEYOND_M
-from negopipe.simulation.reference_line import KNOT_M, knots
+from negopipe.simulation.knot_tables import BEYOND_M, KNOT_M, knots
 from negopipe.simulation.scenario import VehicleConfig
+from negopipe.simulation.smoothstep import smoothstep
 from negopipe.simulation.street import Street
 
 TAPER_M = 10.0
@@ -102,7 +100,7 @@ def street_of_map(street: MapStreet, rules: MapRules, path: Path) -> Street:
         return np.interp(along, street.sigma, values)
 
     outside = np.maximum(np.maximum(-along, along - street.length_m), 0)
-    taper = 1 - smoothstep(torch.from_numpy(outside / TAPER_M))[0].numpy()
+    taper = 1 - smoothstep(outside / TAPER_M)[0]
     curvature = at_knots(street.curvature) * taper
     left, right = (at_knots(side) for side in free_sides(street))
     targets = _targets(along, left, right, curvature, narrow, rules)
@@ -177,7 +175,7 @@ def _least(values: Array, n: int) -> Array:
 def _smoothed(sigma: Array, target: Array, length_m: float) -> Array:
     """[K, 3]: a smooth step of `length_m` for every change of the target [K], with its derivatives."""
     x = (sigma[:, None] - (sigma[:-1] + KNOT_M / 2)) / length_m + 0.5
-    steps = np.stack([values.numpy() for values in smoothstep(torch.from_numpy(x))], axis=1)  # [K, 3, K - 1]
+    steps = np.stack(smoothstep(x), axis=1)  # [K, 3, K - 1]
     routes = steps @ np.diff(target) / length_m ** np.arange(3)
     routes[:, 0] += target[0]
     return np.asarray(routes)

@@ -6,14 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from negopipe.simulation.geometry import Boxes, box_rows, rim, smoothstep
+from negopipe.simulation.geometry import Boxes, box_rows, rim
+from negopipe.simulation.knot_tables import BEYOND_M, knots
 from negopipe.simulation.off_road import off_road_rows
-from negopipe.simulation.reference_line import ReferenceLine, knots
+from negopipe.simulation.reference_line import ReferenceLine
 from negopipe.simulation.road import Road
 from negopipe.simulation.road_config import StreetConfig
-
-BEYOND_M = 5.0
-"""Length of the kerbs and tables of a street beyond everything that changes along it, m."""
+from negopipe.simulation.smoothstep import smoothstep
 
 
 class OneStreet(Road):

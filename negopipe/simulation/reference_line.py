@@ -8,32 +8,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from negopipe.simulation.geometry import smoothstep
+from negopipe.simulation.knot_tables import GAUSS, KNOT_M, N_SEARCHED
+from negopipe.simulation.smoothstep import smoothstep
 
 REACH_M = 200.0
 """Bends lie within this distance from the corridor's middle; beyond it the line is straight."""
 
-KNOT_M = 0.5
-"""Spacing of the table of positions, m; from the nearest lower knot on, the heading is integrated."""
-
-N_SEARCHED = 4
-"""A projection starts at the nearest of every `N_SEARCHED`-th knot."""
-
 N_NEWTON = 3
 """Newton steps of a projection: from 1 m beside the foot on a bend of 20 m, two leave less than a rounding."""
-
-GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 8 / 18), (0.5 + math.sqrt(0.15), 5 / 18))
-"""Nodes and weights of the Gauss-Legendre rule on [0, 1], exact for polynomials of degree 5."""
-
-
-def knots(reach_m: float) -> np.ndarray:
-    """[K] float64, m: arc lengths every `KNOT_M` up to `reach_m` at least to both sides of 0; K is odd."""
-    n = math.ceil(reach_m / KNOT_M)
-    return KNOT_M * np.arange(-n, n + 1)
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from negopipe.simulation.geometry import smoothstep
 from negopipe.simulation.reference_line import REACH_M
+from negopipe.simulation.smoothstep import smoothstep
 
 
 @dataclass(frozen=True)

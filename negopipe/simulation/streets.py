@@ -8,15 +8,12 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.geometry import Boxes, box_rows, rim
+from negopipe.simulation.knot_tables import KNOT_M, lines, narrow_by_way, nearest_kerbs, quintics
 from negopipe.simulation.off_road import off_road_rows
-from negopipe.simulation.reference_line import KNOT_M
 from negopipe.simulation.road import Line, Road
 from negopipe.simulation.street import Street
-from negopipe.simulation.street_tables import BoundLine, LineTable, Polynomials, lines, quintics
+from negopipe.simulation.street_tables import BoundLine, LineTable, Polynomials
 from negopipe.tensors.materialize import materialize
-
-BESIDE_M = 2.5
-"""Reach of a footprint ahead and behind, m: a plan heeds the nearest kerbs within it where kerbs are uneven."""
 
 FAR_M = 1e4
 """Coordinate of boxes that fill up the tables of streets with fewer of them, m."""
@@ -55,7 +52,7 @@ class Streets(Road):
         self._lines = LineTable(np.stack([street.curvature for street in streets]), self.device)
         self._routes = Polynomials(quintics(np.concatenate([street.routes for street in streets])), self.device)
         self._kerbs = Polynomials(lines(np.concatenate([street.kerbs for street in streets])), self.device)
-        near = np.concatenate([_nearest_kerbs(street.kerbs) for street in streets])
+        near = np.concatenate([nearest_kerbs(street.kerbs) for street in streets])
         self._nearest_kerbs = Polynomials(lines(near), self.device)
         self._half_width = self._tensor([street.kerbs[0, 0] for street in streets])  # [B], where kerbs are even
         lengths = [street.narrow[-1, 1] - street.narrow[0, 0] for street in streets]
@@ -147,13 +144,6 @@ class Streets(Road):
         return torch.tensor(np.asarray(values), dtype=torch.float32, device=self.device)
 
 
-def _nearest_kerbs(kerbs: np.ndarray) -> np.ndarray:
-    """[2, K]: distances [2, K] of the kerbs, each the least within `BESIDE_M`."""
-    n = round(BESIDE_M / KNOT_M)
-    padded = np.pad(kerbs, ((0, 0), (n, n)), mode="edge")
-    return np.lib.stride_tricks.sliding_window_view(padded, 2 * n + 1, axis=1).min(-1)
-
-
 def _padded(rows: Sequence[np.ndarray]) -> np.ndarray:
     """[B, N, 5]: the boxes of every street, and boxes of no size far away."""
     longest = max(map(len, rows))
@@ -164,9 +154,4 @@ def _padded(rows: Sequence[np.ndarray]) -> np.ndarray:
 def _narrow_places(streets: Sequence[Street]) -> np.ndarray:
     """[2B, M, 2], see `Road.narrow_places`."""
     longest = max(len(street.narrow) for street in streets)
-    rows = []
-    for street in streets:
-        along = street.narrow - street.narrow[0, 0]
-        against = street.narrow[-1, 1] - street.narrow[::-1, ::-1]
-        rows += [np.concatenate([way, np.tile(way[-1], (longest - len(way), 1))]) for way in (along, against)]
-    return np.stack(rows)
+    return np.concatenate([narrow_by_way(street.narrow, longest) for street in streets])

@@ -17,6 +17,7 @@ from negopipe.evaluation import measures
 from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes import drive_episodes, warm_up
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME, Drives, episodes
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
 from negopipe.game.game import Game
 from negopipe.policy.actor_critic import ActorCritic
@@ -25,9 +26,7 @@ from negopipe.runtime.build import build, load_weights
 from negopipe.runtime.progress import ProgressLine
 from negopipe.runtime.workers import n_processes, side_by_side
 from negopipe.search.oracle_table import DOES_NOT_FIT, drive_oracle, read_oracle
-from negopipe.simulation.scenario import TaskSampler, pair_styles
 from negopipe.simulation.state import Task
-from negopipe.tensors.seeding import generator
 from negopipe.tensors.torch_settings import one_thread
 from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
@@ -129,15 +128,6 @@ def drive_baseline(
     driven = map_tensors(lambda field: field[: baseline.n_driven], tasks)
     n_worlds, paid = config.evaluation.n_worlds, config.evaluation.reward
     return drive_episodes(game, partial(baseline.driver, game), driven, n_worlds, paid, names, baseline.is_lockstep)
-
-
-def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
-    """The setting's tasks, the same for every planner and training seed; training draws from other streams."""
-    stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
-    families = pair_styles(config.scenario.families, config.scenario.pairing)
-    return TaskSampler(config.scenario, {setting: families[setting]}, stream, game.cast.assign).draw(
-        config.evaluation.n_episodes
-    )
 
 
 def measure(config: "RunConfig", trace: Trace) -> pd.DataFrame:

@@ -13,6 +13,7 @@ from negopipe.agents.driver import ChooseHorizon, fixed_horizon
 from negopipe.agents.horizon_drivers import by_horizon, sequence_planner
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.episodes_file import Drives, episodes
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.measures import summary
 from negopipe.evaluation.metrics import running
 from negopipe.evaluation.names import fixed_name
@@ -23,7 +24,6 @@ from negopipe.runtime.progress import ProgressLine
 from negopipe.search.oracle import Rollouts, Sequences, best_simple, improve
 from negopipe.search.oracle_table import ORACLE_TABLE
 from negopipe.simulation.state import EGO, Task
-from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.torch_settings import one_thread
 from negopipe.tensors.tree import map_tensors

@@ -9,6 +9,7 @@ import pandas as pd
 
 from negopipe.errors import UserError
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.recorded_drive import commonroad_scenario
 from negopipe.evaluation.replay import PolicyTrace, record_policy, replay
@@ -18,7 +19,7 @@ from negopipe.report import animation
 from negopipe.report.scene import scene_of
 from negopipe.runtime.build import build, load_weights
 from negopipe.simulation.state import Task
-from negopipe.stages.evaluate import checkpoint_of, drive_baseline, held_out_tasks, measure
+from negopipe.stages.evaluate import checkpoint_of, drive_baseline, measure
 from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import csv_text, parse_csv, read_csv
 from negopipe.tracking.whole_file import write_whole

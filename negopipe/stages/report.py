@@ -9,6 +9,7 @@ import torch
 
 from negopipe.evaluation.claims import judge_claims
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.replay import PolicyTrace, record_policy
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
 from negopipe.report.headlines import headlines
@@ -31,7 +32,7 @@ from negopipe.runtime.build import build, load_weights
 from negopipe.simulation.build_road import build_road
 from negopipe.simulation.state import EGO
 from negopipe.stages.behaviour_map import MAP_NAME
-from negopipe.stages.evaluate import checkpoint_of, held_out_tasks
+from negopipe.stages.evaluate import checkpoint_of
 from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import read_csv
 

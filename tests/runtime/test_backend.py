@@ -8,6 +8,7 @@ import torch
 from composed import compose_config
 
 from negopipe.errors import UserError
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.game.game import build_game
 from negopipe.runtime import backend
 from negopipe.stages import evaluate
@@ -61,7 +62,7 @@ def test_what_simulates_alone_does_so_in_one_thread(monkeypatch: pytest.MonkeyPa
     torch.set_num_threads(2)
     try:
         game = build_game(config)
-        tasks = evaluate.held_out_tasks(config, game, "yield")
+        tasks = held_out_tasks(config, game, "yield")
         evaluate.drive_baseline(config, game, config.evaluation.baselines["fixed_2"], tasks, ("fixed_2", "yield"))
         used.append(torch.get_num_threads())
     finally:

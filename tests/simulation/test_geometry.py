@@ -5,7 +5,8 @@ import math
 import pytest
 import torch
 
-from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, smoothstep, wrap_angle
+from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, wrap_angle
+from negopipe.simulation.smoothstep import smoothstep
 
 
 def box(x: float, y: float, yaw: float, length: float = 4.0, width: float = 2.0) -> Boxes:

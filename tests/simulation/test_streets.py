@@ -14,13 +14,13 @@ from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.build_road import build_road, draw_streets
+from negopipe.simulation.drawn_street import drawn_street
 from negopipe.simulation.geometry import overlap_depth
 from negopipe.simulation.one_street import OneStreet
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.road_config import RoadConfig, StreetConfig
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO, Task
-from negopipe.simulation.street import Street
 from negopipe.simulation.streets import Streets
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.tree import map_tensors
@@ -45,7 +45,7 @@ def draw(config: RunConfig, n: int, streets: range | None = None) -> Task:
 
 
 def by_table(*streets: StreetConfig) -> Streets:
-    return Streets([Street.of(street, 110.0) for street in streets])
+    return Streets([drawn_street(street, 110.0) for street in streets])
 
 
 def anywhere(n: int, way: float) -> tuple[RouteState, Tensor]:

@@ -18,13 +18,13 @@ from negopipe.errors import UserError
 from negopipe.evaluation.behaviour_map import EQUAL, FAILS, HOLDS, UNKNOWN, Opponent, claims, trends
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.episodes_file import Drives, episodes
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.safety import footprints, smallest_gap
 from negopipe.evaluation.trace import OUTCOMES
 from negopipe.game.game import Game, build_game
 from negopipe.report.map_figure import behaviour_map as draw
 from negopipe.report.map_figure import reading
 from negopipe.stages import behaviour_map
-from negopipe.stages.evaluate import held_out_tasks
 
 TINY = (
     "behaviour_map.n_episodes=2",

@@ -16,6 +16,7 @@ from tracked import RecordedRun
 from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig, as_mapping, load, run_name
 from negopipe.errors import UserError
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.replay import replay
 from negopipe.evaluation.trace import EPISODE_AXIS, Trace, load_traces
@@ -25,7 +26,6 @@ from negopipe.runtime.identity import stage_key
 from negopipe.search import oracle as search
 from negopipe.simulation.state import EGO, NEAREST
 from negopipe.stages import behaviour_map, evaluate, oracle, report
-from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, load_checkpoint
 from negopipe.tracking.run_folder import CONFIG_NAME, METRICS_NAME
 from negopipe.training.demonstration_search import demonstrations

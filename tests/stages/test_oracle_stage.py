@@ -12,12 +12,12 @@ from tracked import RecordedRun
 
 from negopipe.config.root import RunConfig, run_name
 from negopipe.errors import UserError
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.game.game import Game
 from negopipe.runtime.build import build, save_policy
 from negopipe.search import oracle as search
 from negopipe.search.oracle_table import read_oracle
 from negopipe.stages import evaluate, oracle
-from negopipe.stages.evaluate import held_out_tasks
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
 
 TINY = (

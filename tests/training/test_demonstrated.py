@@ -11,9 +11,9 @@ from test_resume import SMALL, drive
 from negopipe.config.root import RunConfig
 from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
+from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.game.game import Game, build_game
 from negopipe.search import oracle
-from negopipe.stages.evaluate import held_out_tasks
 from negopipe.training.demonstration_search import demonstrated_tasks, demonstrations
 
 SHOWN = "curriculum.demonstrations={n_tasks: 3, population: 2, rounds: 2, n_decisions: 16, weight: 1.0, until: 0.6}"

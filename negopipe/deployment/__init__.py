@@ -1,0 +1,1 @@
+"""A trained policy outside of the repository: its export, and the check of an export."""

@@ -1,0 +1,271 @@
+"""One decision as a function of tensors: states and street in, horizon and trajectory out.
+
+Axes: K past states (index 0 now), N other road users, T times of the plan, A actions. The street comes as the tables of
+`tables.StreetTables`, with the places to wait of `passage.py`. All arguments are float32 but for `n_places` (int64).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from negopipe.observation.objects import Objects, ObjectsConfig
+from negopipe.observation.occupancy_grid import WORD_BITS, OccupancyGrid
+from negopipe.observation.street_ahead import AROUND_M
+from negopipe.observation.street_ahead import KNOT_M as AHEAD_KNOT_M
+from negopipe.planner.frenet import FrenetPlanner
+from negopipe.planner.roadside import Half, ParkedRow, Roadside
+from negopipe.policy.actor_critic import Policy, greedy_action
+from negopipe.simulation.collisions import CollisionCheck
+from negopipe.simulation.knot_tables import KNOT_M
+from negopipe.simulation.perception import Perception, other_columns
+from negopipe.simulation.sizes import Sizes
+from negopipe.simulation.state import NOBODY, VehicleState
+from negopipe.simulation.street import Street
+from negopipe.simulation.street_tables import Polynomials
+from negopipe.simulation.streets import Streets
+from negopipe.simulation.waiting_place import Passage
+
+if TYPE_CHECKING:
+    from negopipe.config.root import RunConfig
+
+OWN = ("x", "y", "yaw", "speed", "accel", "curvature", "desired_speed", "last_horizon", "rest_s", "length", "width")
+"""Columns of `own`: the state in the own plan (world; m, rad, m/s, m/s2, 1/m), wish (m/s), horizon of the decision
+before (s, NaN = none), time at rest (s), footprint (m); then `direction`, +1 along the street's line, -1 against it."""
+
+OTHER = ("x", "y", "yaw", "speed", "accel", "length", "width")
+"""Columns of `others`."""
+
+PASSAGE = ("waiting", "leaving", "their_waiting", "their_leaving")
+
+
+class Decided(NamedTuple):
+    """Outputs.
+
+    horizon: [1] s; action: [1] int64; logits: [1, A]
+    trajectory: [T, 6], x, y, yaw, speed, accel, curvature at the times of the plan
+    is_full_braking: [1] bool, no candidate was feasible
+    """
+
+    horizon: Tensor
+    action: Tensor
+    logits: Tensor
+    trajectory: Tensor
+    is_full_braking: Tensor
+
+
+@dataclass(frozen=True)
+class AnySizes(Sizes):
+    """Sizes of vehicles that are never taken as alike: every footprint is an input."""
+
+    @property
+    def is_one(self) -> bool:
+        return False
+
+
+class PlainGrid(OccupancyGrid):
+    """Grids for a graph: rectangles are united by halves, which takes few nodes, and cells are made bit by bit, since
+    ONNX cannot read a word as four bytes.
+    """
+
+    def _union(self, spans: Tensor) -> Tensor:
+        n_boxes = spans.shape[-3]
+        while n_boxes > 1:
+            half = n_boxes // 2
+            pairs = torch.bitwise_or(spans[..., :half, :, :], spans[..., half : 2 * half, :, :])
+            spans = torch.cat([pairs, spans[..., 2 * half :, :, :]], -3) if n_boxes % 2 else pairs
+            n_boxes = spans.shape[-3]
+        return spans[..., 0, :, :]
+
+    def _cells(self, rows: Tensor) -> Tensor:
+        words = rows.transpose(-1, -2)[..., None]
+        bits = torch.bitwise_right_shift(words, torch.arange(WORD_BITS, dtype=torch.int32)).bitwise_and(1)
+        return bits.flatten(-2)[..., : self.config.n_cells].to(torch.uint8)
+
+
+class BroadcastRoadside(Roadside):
+    """A roadside that is checked row by row in one computation: there may be many, and a graph must stay small."""
+
+    def _into_rows(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, half: Half) -> Tensor:
+        rows = self.road.pick(self._rows, direction)  # [N, P, 4]
+        fields = (field.T[:, None, None] for field in rows.unbind(-1))  # [P, 1, 1, N]
+        return self._into_row(ParkedRow(*fields), s, direction, d, d_prime, half).amax(0)
+
+
+class GatheredPolynomials(Polynomials):
+    """Polynomials whose coefficients are looked up together: a node of a graph costs more than what it computes."""
+
+    def __init__(self, like: Polynomials) -> None:
+        self._n_intervals, self._first_m, self._table = like._n_intervals, like._first_m, like._table
+
+    def at(self, row: Tensor, sigma: Tensor) -> tuple[tuple[Tensor, ...], Tensor]:
+        interval = torch.floor((sigma - self._first_m) * (1 / KNOT_M)).clamp(0, self._n_intervals - 1)
+        ahead = sigma - (self._first_m + interval * KNOT_M)
+        index = row * self._n_intervals + interval.long()
+        found = self._table.index_select(1, index.flatten()).reshape(-1, *index.shape)
+        return found.unbind(0), ahead
+
+
+class BoundRoad(Streets):
+    """One street whose tables are replaced: neither straight nor of even kerbs, as far as the code can tell."""
+
+    def __init__(self, template: Street) -> None:
+        super().__init__([template])
+        self.is_straight = self._has_even_kerbs = False
+        table = self._lines
+        table._curvature, table._pose = GatheredPolynomials(table._curvature), GatheredPolynomials(table._pose)
+        self._routes, self._kerbs = GatheredPolynomials(self._routes), GatheredPolynomials(self._kerbs)
+        self._nearest_kerbs = GatheredPolynomials(self._nearest_kerbs)
+
+    def bind(self, tables: Mapping[str, Tensor]) -> None:
+        """Take over the tables of `StreetTables`, by name."""
+        for name, table in tables.items():
+            match name:
+                case "line_curvature":
+                    self._lines._curvature._table = table
+                case "line_pose":
+                    self._lines._pose._table = table
+                case "line_points":
+                    self._lines._searched = table[None]
+                case "routes":
+                    self._routes._table = table
+                case "kerbs":
+                    self._kerbs._table = table
+                case "near_kerbs":
+                    self._nearest_kerbs._table = table
+                case "corridor":
+                    self._corridor = table
+                case "target":
+                    self._target = table
+                case "narrow_places" | "n_places" | "parked":
+                    setattr(self, name, table)
+
+
+def bound_road(config: "RunConfig") -> BoundRoad:
+    """A road of the export's capacity; its tables are those of a straight street until it is bound."""
+    capacity = config.export.capacity
+    n, m = capacity.street.n_knots, capacity.n_narrow_places
+    first = np.arange(m) * 2.0 - m + 0.5
+    flat = np.zeros((n, 2))
+    far = np.tile([1e4, 0.0, 0.0, 0.0], (capacity.n_parked, 1))
+    narrow = np.stack([first, first + 1.0], -1)
+    return BoundRoad(Street(flat, np.full((2, n), 10.0), np.zeros((2, n, 3)), far, narrow, 10.0))
+
+
+class Decision(nn.Module):
+    """The decision of one vehicle, for the config of an export."""
+
+    def __init__(self, config: "RunConfig", policy: Policy) -> None:
+        super().__init__()
+        scenario, sizes = config.scenario, config.scenario.sizes
+        self.policy, self._dt_s = policy, scenario.dt_s
+        self.road = bound_road(config)
+        self.sizes = AnySizes(sizes.ego, sizes.smallest, sizes.largest)
+        self.planner = FrenetPlanner(config.planner, self.road, self.sizes, scenario.dt_s)
+        planner, reversing = self.planner, self.planner.reversing
+        planner.roadside = self._broadcast(planner.roadside)
+        if reversing is not None:
+            reversing._roadside = self._broadcast(reversing._roadside)
+        self.observation = self._observation(config)
+        self.horizons: Tensor
+        self.register_buffer("horizons", torch.tensor(config.policy.horizons_s))
+
+    def _broadcast(self, roadside: Roadside) -> BroadcastRoadside:
+        return BroadcastRoadside(self.road, self.sizes, roadside.clearance_m[:, 0])
+
+    def _observation(self, config: "RunConfig") -> OccupancyGrid | Objects:
+        kind, dt_s = config.observation, self._dt_s
+        if not isinstance(kind, ObjectsConfig):
+            return PlainGrid(kind, self.road, self.sizes, dt_s)
+        passage = Passage.of(CollisionCheck(self.road, dt_s, other_columns(2)), self.sizes)
+        objects = Objects(kind, passage, dt_s)
+        objects._street._n_knots = n_ahead(config)
+        return objects
+
+    def forward(
+        self,
+        own: Tensor,
+        own_history: Tensor,
+        others: Tensor,
+        others_history: Tensor,
+        is_seen: Tensor,
+        direction: Tensor,
+        street: dict[str, Tensor],
+    ) -> Decided:
+        """own: [11], `OWN`; own_history: [K, 3], x, y, yaw; others: [N, 7], `OTHER`; others_history: [K, N, 3];
+        is_seen: [K, N], 1 where seen, index 0 now; direction: [1]; street: tables by name.
+        """
+        self._bind(street)
+        perception = self._perception(own, own_history, others, others_history, is_seen > 0.5, direction)
+        logits = self.policy(self.observation.draw(perception))[0]
+        action = greedy_action(logits)
+        horizon = self.horizons[action]
+        states, is_full_braking = self.planner.trajectory(perception, horizon[:, None])
+        position, *rest = (field[0, 0] for field in vars(states).values())
+        trajectory = torch.cat([position, torch.stack(rest, -1)], -1)
+        return Decided(horizon, action, logits, trajectory, is_full_braking[0])
+
+    def _bind(self, street: dict[str, Tensor]) -> None:
+        """Take over a street's tables in all parts that hold some."""
+        self.road.bind(street)
+        planner, observation = self.planner, self.observation
+        planner.roadside._rows = street["rows"]
+        parts: list[Any] = [part for part in (planner.give_way, planner.reversing, planner.lingering) if part]
+        if planner.reversing is not None:
+            planner.reversing._roadside._rows = street["rows"]
+        if isinstance(observation, Objects):
+            parts += [observation]
+            observation._street._table = street["ahead"]
+        else:
+            observation._static = torch.cat([street["parked"], street["off_road"]], dim=1)
+        for part in parts:
+            part.passage = replace(part.passage, **{name: street[name] for name in PASSAGE})
+
+    def _perception(
+        self, own: Tensor, own_history: Tensor, others: Tensor, others_history: Tensor, seen: Tensor, direction: Tensor
+    ) -> Perception:
+        """The perception of one agent in one world."""
+        x, y, yaw, speed, accel, curvature, desired_speed, last_horizon, rest_s, length, width = own[:, None, None]
+        their_x, their_y, their_yaw, their_speed, their_accel, their_length, their_width = others.T[:, None, None]
+        own_state = VehicleState(torch.stack([x, y], -1), yaw, speed, accel, curvature)
+        position = torch.stack([their_x, their_y], -1)
+        return Perception(
+            own=own_state,
+            direction=direction[None],
+            desired_speed=desired_speed,
+            style_horizon=torch.full_like(speed, torch.nan),
+            driver=torch.full_like(speed, NOBODY, dtype=torch.int64),
+            last_horizon=last_horizon,
+            rest_steps=rest_s / self._dt_s,
+            length=length,
+            width=width,
+            other=VehicleState(position, their_yaw, their_speed, their_accel, torch.zeros_like(their_accel)),
+            other_length=their_length,
+            other_width=their_width,
+            is_seen=seen[:1, None],
+            own_history=own_history[None, :, None],
+            other_history=others_history[None, :, None],
+            is_seen_history=seen[None, :, None],
+        )
+
+
+def n_ahead(config: "RunConfig") -> int:
+    """Knots of the table of the street ahead, for corridors up to the reach of the export."""
+    return 2 + int((config.export.capacity.reach_m + 2 * AROUND_M) / AHEAD_KNOT_M)
+
+
+def needs(config: "RunConfig") -> list[str]:
+    """Names of the street's tables that the decision of a config reads, in order."""
+    is_grid = not isinstance(config.observation, ObjectsConfig)
+    planner = config.planner
+    names = ["line_curvature", "line_pose", "line_points", "routes", "near_kerbs", "corridor", "rows"]
+    if is_grid:
+        names += ["parked", "off_road"]
+    else:
+        names += ["target", "ahead", "narrow_places"]
+    if not is_grid or planner.give_way or planner.reversing or planner.cost.lingering:
+        names += PASSAGE
+    return names

@@ -1,0 +1,90 @@
+"""ONNX files: written from a torch module, opened by onnxruntime on one thread."""
+
+import importlib.util
+import logging
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import nn
+from torch.utils._pytree import tree_map
+
+from negopipe.errors import UserError
+from negopipe.tracking.whole_file import write_whole
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+NEEDED = ("onnx", "onnxscript", "onnxruntime")
+"""Packages of the extra `export`."""
+
+
+def need_packages() -> None:
+    """UserError where a package of the extra is missing."""
+    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        raise UserError(f"an export needs {', '.join(NEEDED)} (pip install 'negopipe[export]'), got no {missing[0]}")
+
+
+def write_onnx(
+    path: Path,
+    module: nn.Module,
+    inputs: Mapping[str, Any],
+    outputs: Sequence[str],
+    opset: int,
+    batch: str | None = None,
+) -> None:
+    """Write a module in eval mode as one ONNX file, weights included.
+
+    inputs: an example of each argument of `forward`, by name; an argument may be a dict of tensors, whose keys are then
+        names of inputs
+    outputs: names of the tensors that `forward` returns
+    batch: name of a dynamic first axis of all inputs; None = all shapes are fixed, and the graph is so large that it is
+        left to onnxruntime to simplify it, which takes seconds there and minutes here
+    """
+    names = [leaf for name, each in inputs.items() for leaf in (each if isinstance(each, dict) else [name])]
+    dynamic = {name: {0: batch} for name in inputs} if batch else None
+    with warnings.catch_warnings(), _quiet("torch.onnx", "torch.export", "onnxscript", "onnx_ir"):
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            module.eval(),
+            kwargs=tree_map(torch.clone, dict(inputs)),  # aliased tensors would become one input
+            dynamo=True,
+            input_names=names,
+            output_names=list(outputs),
+            opset_version=opset,
+            dynamic_shapes=dynamic,
+            external_data=False,
+            optimize=batch is not None,
+            verbose=False,
+        )
+    assert program is not None
+    write_whole(path, program.model_proto.SerializeToString())
+
+
+def open_onnx(path: Path) -> "onnxruntime.InferenceSession":
+    """A session on one thread of the CPU."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+
+
+class _quiet:
+    """Context in which some loggers only tell of errors: the exporter logs every pass."""
+
+    def __init__(self, *names: str) -> None:
+        self._loggers = [logging.getLogger(name) for name in names]
+
+    def __enter__(self) -> None:
+        self._levels = [logger.level for logger in self._loggers]
+        for logger in self._loggers:
+            logger.setLevel(logging.ERROR)
+
+    def __exit__(self, *_: object) -> None:
+        for logger, level in zip(self._loggers, self._levels, strict=True):
+            logger.setLevel(level)

@@ -1,0 +1,37 @@
+"""Options of the export."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from negopipe.deployment.tables import Capacity
+from negopipe.schema import Distinct, PositiveInt, PositiveMetres, schema
+
+ExportFile = Literal["policy", "decision"]
+
+
+@schema
+class CapacityConfig:
+    """Sizes of the largest street and of the traffic that an exported decision serves."""
+
+    reach_m: PositiveMetres
+    n_narrow_places: PositiveInt
+    n_parked: PositiveInt
+    n_off_road: PositiveInt
+    n_others: PositiveInt
+
+    @property
+    def street(self) -> Capacity:
+        return Capacity(self.reach_m, self.n_narrow_places, self.n_parked, self.n_off_road)
+
+
+@schema
+class ExportConfig:
+    """`conf/export/onnx.yaml` says what each value means."""
+
+    files: Annotated[tuple[ExportFile, ...], Field(min_length=1), Distinct]
+    opset: PositiveInt
+    n_selftest: PositiveInt
+    n_decisions: PositiveInt
+    n_worlds: PositiveInt
+    capacity: CapacityConfig
