@@ -1,13 +1,10 @@
 """PPO on one page, in the manner of CleanRL: torch and one vector environment, nothing else.
 
-    python examples/single_file_ppo.py 50000
-
-It prints the mean reward per decision of every iteration.
+python examples/single_file_ppo.py 50000
 """
 
 import sys
 
-import numpy as np
 import torch
 from torch import nn
 from torch.distributions import Categorical
@@ -24,8 +21,7 @@ def main(n_decisions: int, n_worlds: int = 16, n_steps: int = 64) -> list[float]
     n_inputs, n_actions = envs.single_observation_space.shape[0], int(envs.single_action_space.n)  # type: ignore
     network = nn.Sequential(nn.Linear(n_inputs, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh())
     actor, critic = nn.Linear(128, n_actions), nn.Linear(128, 1)
-    parameters = [*network.parameters(), *actor.parameters(), *critic.parameters()]
-    optimizer = torch.optim.Adam(parameters, lr=RATE)
+    optimizer = torch.optim.Adam(nn.ModuleList([network, actor, critic]).parameters(), lr=RATE)
     seen, paid = torch.from_numpy(envs.reset(seed=1)[0]), []
     for _ in range(max(1, n_decisions // (n_worlds * n_steps))):
         rows = []
@@ -35,15 +31,13 @@ def main(n_decisions: int, n_worlds: int = 16, n_steps: int = 64) -> list[float]
                 choice = Categorical(logits=actor(features))
                 action = choice.sample()
                 after, reward, terminated, truncated, _ = envs.step(action.numpy())
-                over = torch.from_numpy(np.logical_or(terminated, truncated)).float()
-                gain = torch.from_numpy(reward).float()
+                gain, over = torch.from_numpy(reward).float(), torch.from_numpy(terminated | truncated).float()
                 rows.append((seen, action, choice.log_prob(action), critic(features)[:, 0], gain, over))
                 seen = torch.from_numpy(after)
             value, advantage, advantages = critic(network(seen))[:, 0], torch.zeros(n_worlds), []
             for _, _, _, before, gain, over in reversed(rows):
                 delta = gain + GAMMA * value * (1 - over) - before
-                advantage = delta + GAMMA * LAMBDA * (1 - over) * advantage
-                value = before
+                advantage, value = delta + GAMMA * LAMBDA * (1 - over) * advantage, before
                 advantages.append(advantage)
         obs, action, old, before, gain, _ = (torch.cat(column) for column in zip(*rows, strict=True))
         gae = torch.cat(advantages[::-1])
@@ -53,8 +47,8 @@ def main(n_decisions: int, n_worlds: int = 16, n_steps: int = 64) -> list[float]
             choice = Categorical(logits=actor(features))
             ratio = (choice.log_prob(action[index]) - old[index]).exp()
             gains = torch.minimum(ratio * gae[index], ratio.clamp(1 - CLIP, 1 + CLIP) * gae[index])
-            error = (critic(features)[:, 0] - target[index]) ** 2
-            loss = -gains.mean() + 0.5 * error.mean() - ENTROPY * choice.entropy().mean()
+            error = (critic(features)[:, 0] - target[index]).square().mean()
+            loss = 0.5 * error - gains.mean() - ENTROPY * choice.entropy().mean()
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
