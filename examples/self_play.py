@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import supersuit
 from stable_baselines3 import PPO
+from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecMonitor
 
 import negopipe
@@ -20,7 +21,8 @@ def main(n_decisions: int, n_worlds: int = 8, n_steps: int = 64, overrides: tupl
     world = negopipe.make_parallel_env(["observation=objects", "policy=objects", *overrides])
     agents = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.black_death_v3(world))
     envs = VecMonitor(supersuit.concat_vec_envs_v1(agents, n_worlds, base_class="stable_baselines3"))
-    model = PPO("MlpPolicy", envs, n_steps=n_steps, batch_size=256, ent_coef=0.01, seed=1, device="cpu")
+    set_random_seed(1)  # the worlds of supersuit take no seed from PPO
+    model = PPO("MlpPolicy", envs, n_steps=n_steps, batch_size=256, ent_coef=0.01, device="cpu")
     returns: list[float] = []
 
     def count(values: dict, _: dict) -> bool:

@@ -56,7 +56,8 @@ def test_a_model_of_others_is_evaluated() -> None:
 
 def test_an_own_street_is_filmed(tmp_path: Path) -> None:
     street, film = written(commonroad_map(200.0), tmp_path / "drawn.xml"), tmp_path / "film.gif"
-    assert main_of("own_street")(str(street), str(film), ("scenario.episode_steps=5",)) == "timeout"
+    row = "scenario.map.rows=[{side:left,from_m:90.0,to_m:110.0,kerb_gap_m:0.2}]"
+    assert main_of("own_street")(str(street), str(film), (row, "scenario.episode_steps=5")) == "timeout"
     with Image.open(film) as read:
         assert read.n_frames == 6  # type: ignore[attr-defined]
 
