@@ -1,6 +1,6 @@
 """Speed of the environments, for people who choose one: decisions per second of every way to step worlds.
 
-    python jobs/environments.py --decisions 300 --out jobs/results/environments.csv
+    python jobs/environments.py --decisions 48 --out jobs/results/environments.csv
 
 Random actions, new tasks included, one thread of torch per process. The ways take turns, a short piece of each in each
 round, so that other work on the machine slows all of them alike. Ratios say more than the figures themselves. Columns:

@@ -29,4 +29,4 @@ class OwnStreams:
     def set_state(self, state: Tensor) -> None:
         """Restore what `get_state` returned."""
         for generator, own in zip(self.generators, state, strict=True):
-            generator.set_state(own)
+            generator.set_state(own.clone())  # torch reads from the start of the storage
