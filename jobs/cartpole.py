@@ -31,8 +31,8 @@ import torch
 from hydra.errors import HydraException
 from torch import Tensor, nn
 
+from negopipe.config.compose import compose_config
 from negopipe.config.messages import explain_composition
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.learning.learner import AnyAlgorithmConfig, Learner
 from negopipe.learning.rollout import RunningEpisodes, Transition, collect

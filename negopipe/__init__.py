@@ -29,7 +29,7 @@ The map, lowest first: a package imports only what stands above it here, and its
     deployment    a trained policy outside of the repository: its export, and the check of an export
     stages        train, evaluate, report, replay, behaviour_map, cross_play, oracle, streets, benchmark, export:
                   functions of config, run
-    envs          doors for other people's code: gymnasium, Stable-Baselines3
+    envs          doors for other people's code: gymnasium, PettingZoo, Stable-Baselines3
     __main__      the command line
 
 One decision (E worlds, V vehicles)
@@ -45,12 +45,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from negopipe.envs.registration import register_with_gymnasium
+
 if TYPE_CHECKING:
     from negopipe.config.compose import load_config
     from negopipe.envs.gymnasium import make_env, make_vec_env
+    from negopipe.envs.pettingzoo import make_parallel_env
     from negopipe.runtime.build import load_policy
 
-__all__ = ["load_config", "load_policy", "make_env", "make_vec_env"]
+__all__ = ["load_config", "load_policy", "make_env", "make_parallel_env", "make_vec_env"]
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -62,6 +65,7 @@ if not TYPE_CHECKING:  # a type checker must not take every name for one of this
         "load_config": "negopipe.config.compose",
         "load_policy": "negopipe.runtime.build",
         "make_env": "negopipe.envs.gymnasium",
+        "make_parallel_env": "negopipe.envs.pettingzoo",
         "make_vec_env": "negopipe.envs.gymnasium",
     }
 
@@ -73,3 +77,6 @@ if not TYPE_CHECKING:  # a type checker must not take every name for one of this
 
     def __dir__():
         return sorted({*globals(), *__all__})
+
+
+register_with_gymnasium()

@@ -10,8 +10,8 @@ import torch
 from tracked import Command
 
 import negopipe.__main__ as entry
+from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game, build_game
 from negopipe.tracking.database import connect, database_path, store_lock
 

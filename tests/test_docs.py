@@ -28,7 +28,7 @@ from negopipe.deployment import export
 DOCS = ROOT / "docs"
 EXTENSION = DOCS / "_ext"
 N_WORDS = 1200
-FILE = re.compile(r"`((?:negopipe|conf|tests|jobs)/[\w/.]+)`")
+FILE = re.compile(r"`((?:negopipe|conf|tests|jobs|examples)/[\w/.]+)`")
 TABLES = [(page, table) for page in PAGES for table in results(page)]
 PROGRAMS = [
     (page, block)
@@ -122,8 +122,9 @@ def test_a_wrong_figure_is_found() -> None:
 @pytest.mark.parametrize(("page", "program"), PROGRAMS, ids=[named(page) for page, _ in PROGRAMS])
 def test_python_of_a_page_runs(page: Path, program: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Blocks that import something; others are excerpts."""
-    if "stable_baselines3" in program:
-        pytest.importorskip("stable_baselines3")
+    for module, word in {"stable_baselines3": "stable_baselines3", "pettingzoo": "make_parallel_env"}.items():
+        if word in program:
+            pytest.importorskip(module)
     monkeypatch.chdir(ROOT)
     if "onnxruntime" in program:
         pytest.importorskip("onnxscript")

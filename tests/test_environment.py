@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from negopipe import CONF, environment
-from negopipe.envs.gymnasium import compose_config
+from negopipe.config.compose import compose_config
 from negopipe.errors import UserError
 from negopipe.game.game import has_compiler
 from negopipe.tracking.database import connect

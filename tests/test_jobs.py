@@ -134,3 +134,12 @@ def test_a_shipped_policy_is_the_checkpoint_with_its_encoder_rounded(
     for key, values in tensors.items():
         is_rounded = values.dtype == torch.bfloat16
         assert torch.equal(values, original[key].bfloat16() if is_rounded else original[key])
+
+
+def test_the_speed_of_environments_is_measured(tmp_path: Path) -> None:
+    script = load_script("environments")
+    script.main(12, tmp_path / "speed.csv", (("single", 1), ("sync", 2), ("batched", 2)))
+    table = read_csv(tmp_path / "speed.csv", script.TABLE)
+    assert table["way"].tolist() == ["single", "sync", "batched"] * 2
+    assert (table["decisions_per_s"] > 0).all()
+    assert (table.loc[table["way"] == "single", "times_single"] == 1).all()

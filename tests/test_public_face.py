@@ -1,5 +1,6 @@
-"""The public face: four functions of `negopipe`, imported at their first use, typed, and enough to drive a policy."""
+"""The public face: five functions of `negopipe`, imported at their first use, typed, and enough to drive a policy."""
 
+import importlib.util
 import json
 import subprocess
 import sys
@@ -61,9 +62,10 @@ def test_importing_negopipe_imports_nothing_heavy() -> None:
 
 
 def test_the_face_is_listed_and_every_name_is_there() -> None:
-    assert negopipe.__all__ == ["load_config", "load_policy", "make_env", "make_vec_env"]
+    assert negopipe.__all__ == ["load_config", "load_policy", "make_env", "make_parallel_env", "make_vec_env"]
     assert set(negopipe.__all__) <= set(dir(negopipe))
-    assert all(callable(getattr(negopipe, name)) for name in negopipe.__all__)
+    missing = {"make_parallel_env"} if importlib.util.find_spec("pettingzoo") is None else set()
+    assert all(callable(getattr(negopipe, name)) for name in set(negopipe.__all__) - missing)
     with pytest.raises(AttributeError, match="module 'negopipe' has no attribute 'make_envs'"):
         _ = negopipe.make_envs  # type: ignore[attr-defined]
 
@@ -93,10 +95,12 @@ def test_make_env_is_what_gymnasium_makes() -> None:
         negopipe.make_env(["seed=2"])
 
 
-@pytest.mark.filterwarnings("ignore:.*render_mode")
-def test_make_env_draws_nothing() -> None:
-    with pytest.raises(UserError, match="render_mode must be None, got 'human'"):
-        negopipe.make_env(render_mode="human")
+def test_make_env_draws_what_render_mode_says() -> None:
+    env = negopipe.make_env(render_mode="rgb_array")
+    env.reset(seed=1)
+    picture = env.render()
+    assert isinstance(picture, np.ndarray)
+    assert picture.dtype == np.uint8
 
 
 def test_make_vec_env_is_one_batched_program() -> None:

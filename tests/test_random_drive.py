@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from negopipe.envs.gymnasium import compose_config
+from negopipe.config.compose import compose_config
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import build_game, has_compiler
 from negopipe.game.reward import RewardConfig

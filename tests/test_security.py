@@ -8,7 +8,7 @@ import pytest
 from tracked import Command
 
 import negopipe
-from negopipe.envs.gymnasium import compose_config
+from negopipe.config.compose import compose_config
 from negopipe.errors import UserError
 from negopipe.stages.evaluate import checkpoint_of
 from negopipe.tracking.checkpoint import load_checkpoint

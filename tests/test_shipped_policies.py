@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
-from negopipe.envs.gymnasium import compose_config
+from negopipe.config.compose import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.held_out import held_out_tasks

@@ -1,1 +1,1 @@
-"""Interfaces for other libraries: gymnasium and Stable-Baselines3."""
+"""Interfaces for other libraries: gymnasium, PettingZoo and Stable-Baselines3."""

@@ -1,15 +1,32 @@
 """The game as a reinforcement-learning environment: batched worlds whose actions are prediction horizons."""
 
+from typing import Protocol
+
 import torch
 from torch import Tensor
 
 from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.learning.rollout import Transition
-from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.state import EGO, NEAREST, World
+from negopipe.simulation.state import EGO, NEAREST, Task, World
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
-from negopipe.tensors.tree import map_tensors, named_tensors, tree_where, with_tensors
+from negopipe.tensors.tree import map_tensors, named_tensors, with_tensors
+
+
+class TaskSource(Protocol):
+    """Source of the tasks of worlds: `TaskSampler` with one stream for all of them, or one with a stream for each."""
+
+    def draw_for(self, worlds: Tensor) -> Task:
+        """Draw the next tasks of the worlds [n] int64."""
+        ...
+
+    def get_state(self) -> Tensor:
+        """State of all streams, uint8."""
+        ...
+
+    def set_state(self, state: Tensor) -> None:
+        """Restore what `get_state` returned."""
+        ...
 
 
 class NegotiationEnv:
@@ -28,7 +45,7 @@ class NegotiationEnv:
         game: Game,
         reward_config: RewardConfig,
         horizons_s: tuple[float, ...],
-        sampler: TaskSampler,
+        sampler: TaskSource,
         n_worlds: int,
         learners: tuple[int, ...] = (),
     ) -> None:
@@ -39,11 +56,18 @@ class NegotiationEnv:
         self.n_actions = len(horizons_s)
         self.restart()
 
-    def restart(self, is_chosen: Tensor | None = None) -> None:
-        """Start a new task in every world, or in the chosen ones [E] bool only, which get the same tasks either way."""
-        started = self.game.simulator.reset(self.sampler.draw(self.n_worlds))
-        self.world: World = started if is_chosen is None else tree_where(is_chosen, started, self.world)
+    def restart(self) -> None:
+        """Start a new task in every world."""
+        everyone = torch.arange(self.n_worlds, device=self._horizons.device)
+        self.world: World = self.game.simulator.reset(self.sampler.draw_for(everyone))
         self._observation = self._seen(self.world, self.game.see(self.world))
+
+    def begin(self, tasks: Task, which: Tensor) -> None:
+        """Start the tasks [n] in the worlds `which` [n] int64, whose places in the observations are overwritten."""
+        started = self.game.simulator.reset(tasks)
+        self.world = map_tensors(lambda field, new: field.index_copy(0, which, new), self.world, started)
+        agents = (torch.arange(self._n_seats, device=which.device)[:, None] * self.n_worlds + which).flatten()
+        self._observation.index_copy_(0, agents, self._seen(started, self.game.see(started)))
 
     def observe(self) -> Tensor:
         """[A, *obs]: the present observations of the agents; 0 for those that do not learn."""
@@ -88,14 +112,14 @@ class NegotiationEnv:
 
     def state_dict(self) -> dict[str, Tensor]:
         """State on which the next step depends: the worlds, their observations and the stream of tasks."""
-        seen, tasks = self._observation, self.sampler.generator.get_state()
+        seen, tasks = self._observation, self.sampler.get_state()
         return {**add_prefix("world", named_tensors(self.world)), "observation": seen, "tasks": tasks}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Restore what `state_dict` returned; the sampler's families are not part of it."""
         self.world = with_tensors(self.world, strip_prefix("world", state))
         self._observation = state["observation"].to(self._observation.device)
-        self.sampler.generator.set_state(state["tasks"])
+        self.sampler.set_state(state["tasks"])
 
     @property
     def _n_seats(self) -> int:
@@ -121,9 +145,5 @@ class NegotiationEnv:
     def _start_again(self, moved: World, reached: Tensor, which: Tensor) -> None:
         """Continue from `moved`, with observations `reached` [A, *obs], and with new tasks in the worlds `which`."""
         self.world, self._observation = moved, reached
-        if len(which) == 0:
-            return
-        started = self.game.simulator.reset(self.sampler.draw(len(which)))
-        self.world = map_tensors(lambda field, new: field.index_copy(0, which, new), moved, started)
-        agents = (torch.arange(self._n_seats, device=which.device)[:, None] * self.n_worlds + which).flatten()
-        reached.index_copy_(0, agents, self._seen(started, self.game.see(started)))
+        if len(which):
+            self.begin(self.sampler.draw_for(which), which)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
@@ -21,28 +20,15 @@ from PIL import Image
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.replay import PolicyTrace
 from negopipe.evaluation.trace import OUTCOMES, Trace
-from negopipe.report.labels import horizon_label, outcome_label, planner_label
-from negopipe.report.scene import (
-    GROUND,
-    PARKED,
-    ROAD,
-    SOCIAL,
-    Scene,
-    add_polygon,
-    box_corners,
-    draw_scene,
-    ribbon_corners,
-    view_limits,
-)
-from negopipe.report.style import CORRIDOR, INK, OUTCOME_COLORS, QUIET, horizon_color, planner_colors, styled
-from negopipe.safety.layer import INTERVENTIONS
+from negopipe.report.labels import horizon_label, planner_label
+from negopipe.report.scene import GROUND, PARKED, ROAD, Scene, view_limits
+from negopipe.report.street_view import DPI, HEADER_PX, RIBBON_ALPHA, TOP_PX, WIDTH_PX, Moment, Sheet, StreetView
+from negopipe.report.style import CORRIDOR, INK, horizon_color, planner_colors, styled
 from negopipe.simulation.state import EGO
 
-WIDTH_PX, TOP_PX, HEADER_PX, DPI = 640, 26, 26, 100
 POLICY_PX, GRID_PX = 128, 96
 HOLD_S = 1.5
 """Duration of the last frame before the animation repeats, s."""
-RIBBON_ALPHA = 0.6
 BLOCK_PX = 4
 """Height of a colour's block in the picture that gives the palette; enough pixels for the colour to be kept."""
 N_COLORS = 128
@@ -154,76 +140,50 @@ class _Film:
         road_px = round(WIDTH_PX * (high_m - low_m) / (right_m - left_m))
         below_px = 0 if policy_trace is None else POLICY_PX
         height_px = TOP_PX + len(traces) * (HEADER_PX + road_px + 4) + below_px
-        self.figure = Figure((WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
-        self.canvas = FigureCanvasAgg(self.figure)
+        figure = Figure((WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
         self.panels: list[_Panel] = []
         self.policy_rows: list[_PolicyRow] = []
         for row, trace in enumerate(traces):
             bottom_px = height_px - TOP_PX - (row + 1) * (HEADER_PX + road_px) - row * 4
-            axis = self.figure.add_axes((0, bottom_px / height_px, 1, road_px / height_px))
+            axis = figure.add_axes((0, bottom_px / height_px, 1, road_px / height_px))
             axis.set(xlim=(left_m, right_m), ylim=(low_m, high_m))
-            axis.axis("off")
-            draw_scene(axis, scene)
             self.panels.append(_Panel(axis, trace, episode, scene, fixed_s))
         if policy_trace is not None:
-            self.policy_rows.append(_PolicyRow(self.figure, policy_trace, traces[0].dt_s))
-        self.clock = self.figure.text(0.012, 1 - 5 / height_px, "", va="top", fontsize=12, animated=True)
-        self.canvas.draw()
-        self.background = self.canvas.copy_from_bbox(self.figure.bbox)
+            self.policy_rows.append(_PolicyRow(figure, policy_trace, traces[0].dt_s))
+        self.sheet = Sheet(figure)
 
     def draw(self, time_s: float) -> Image.Image:
-        self.canvas.restore_region(self.background)  # type: ignore[no-untyped-call]
-        self.clock.set_text(f"{time_s:.1f} s")
-        self.figure.draw_artist(self.clock)
         moving: list[_Panel | _PolicyRow] = [*self.panels, *self.policy_rows]
-        for panel in moving:
-            for artist in panel.artists_at(time_s):
-                self.figure.draw_artist(artist)
-        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy())
+        return Image.fromarray(
+            self.sheet.draw(time_s, [artist for part in moving for artist in part.artists_at(time_s)])
+        )
 
 
 class _Panel:
     """The moving parts of one planner's episode."""
 
     def __init__(self, axis: Axes, trace: Trace, episode: int, scene: Scene, fixed_s: FixedHorizons) -> None:
-        self.axis, self.trace, self.episode, self.scene = axis, trace, episode, scene
-        self.size_m = np.stack([trace.length_m[episode], trace.width_m[episode]], -1)
+        self.trace, self.episode = trace, episode
+        size_m = np.stack([trace.length_m[episode], trace.width_m[episode]], -1)
         self.yaw_rad = np.unwrap(trace.yaw_rad[:, episode], axis=0)
-        n_vehicles = self.yaw_rad.shape[1]
-        colors = [*planner_colors([trace.planner], fixed_s).values(), *[SOCIAL] * (n_vehicles - 1)]
-        self.ribbons = [add_polygon(axis, QUIET, alpha=RIBBON_ALPHA) for _ in colors[1:]]
-        self.bodies = [add_polygon(axis, color) for color in colors]
-        self.windscreens = [add_polygon(axis, "white") for _ in colors]
-        (self.crash,) = axis.plot([0], [0], "X", color=OUTCOME_COLORS["collision"], markersize=15, mec="white")
-        above_road: Any = {"transform": axis.transAxes, "va": "bottom", "clip_on": False}
-        label = planner_label(trace.planner, fixed_s)
-        self.title = axis.text(0.012, 1.03, label, fontsize=12, fontweight="bold", **above_road)
-        self.horizon = axis.text(0.19, 1.03, "", fontsize=12, **above_road)
-        self.status = axis.text(0.988, 1.03, "", fontsize=12, ha="right", **above_road)
-        for artist in self._moving():
-            artist.set_animated(True)
-
-    def _moving(self) -> list[Artist]:
-        shapes = [*self.ribbons, *self.bodies, *self.windscreens]
-        return [*shapes, self.crash, self.horizon, self.status]
+        color = planner_colors([trace.planner], fixed_s)[trace.planner]
+        self.view = StreetView(axis, scene, size_m, color, planner_label(trace.planner, fixed_s))
 
     def artists_at(self, time_s: float) -> list[Artist]:
         """Move all parts to their places at a time and return them in drawing order."""
         end = self.trace.n_steps[self.episode]
         step = min(time_s / self.trace.dt_s, float(end))
-        position, yaw, speed = self._motion(step)
         horizon_s = self.trace.horizon_s[min(int(step), end - 1), self.episode, EGO]
-        for vehicle, (body, windscreen) in enumerate(zip(self.bodies, self.windscreens, strict=True)):
-            length, width = self.size_m[vehicle]
-            body.set_xy(box_corners(position[vehicle], yaw[vehicle], (-length / 2, length / 2), width))
-            glass = (0.14 * length, 0.3 * length)
-            windscreen.set_xy(box_corners(position[vehicle], yaw[vehicle], glass, 0.8 * width))
-        self._show_prediction(position, yaw, speed, np.nan if step >= end else horizon_s)
-        intervention = self.trace.intervention[min(int(step), end - 1), self.episode]
-        if intervention > 0 and step < end:
-            self.horizon.set_text(f"safety: {INTERVENTIONS[intervention].replace('_', ' ')}")
-        self._show_status(step >= end, position, speed)
-        return self._moving()
+        is_over = bool(step >= end)
+        return self.view.artists(
+            Moment(
+                step * self.trace.dt_s,
+                *self._motion(step),
+                horizon_s=np.nan if is_over else horizon_s,
+                intervention=0 if is_over else int(self.trace.intervention[min(int(step), end - 1), self.episode]),
+                outcome=OUTCOMES[self.trace.outcome[self.episode]] if is_over else None,
+            )
+        )
 
     def _motion(self, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position [V, 2], yaw [V], speed [V] between two decisions, interpolated linearly."""
@@ -233,26 +193,6 @@ class _Panel:
         speed = self.trace.speed_mps[before : before + 2, self.episode]
         yaw = self.yaw_rad[before : before + 2]
         return tuple((1 - share) * pair[0] + share * pair[1] for pair in (position, yaw, speed))  # type: ignore[return-value]
-
-    def _show_prediction(self, position: np.ndarray, yaw: np.ndarray, speed: np.ndarray, horizon_s: float) -> None:
-        has_horizon = not np.isnan(horizon_s)
-        self.horizon.set_text(f"horizon {horizon_label(horizon_s)}" if has_horizon else "")
-        for ribbon, vehicle in zip(self.ribbons, range(1, len(yaw)), strict=True):
-            way_m = speed[vehicle] * min(horizon_s, self.scene.plan_s) if has_horizon else 0.0
-            ribbon.set_xy(ribbon_corners(self.scene, position[vehicle], yaw[vehicle], way_m, self.size_m[vehicle][1]))
-            ribbon.set_facecolor(horizon_color(horizon_s) if has_horizon else QUIET)
-
-    def _show_status(self, is_over: bool, position: np.ndarray, speed: np.ndarray) -> None:
-        outcome = OUTCOMES[self.trace.outcome[self.episode]]
-        seconds = self.trace.n_steps[self.episode] * self.trace.dt_s
-        ends = f"{outcome_label(outcome)} after {seconds:.1f} s"
-        drives = f"ego {speed[EGO]:.1f} m/s, social {speed[EGO + 1]:.1f} m/s"
-        self.status.set_text(ends if is_over else drives)
-        self.status.set_fontweight("bold" if is_over else "normal")
-        self.crash.set_visible(bool(is_over) and outcome == "collision")
-        nearest = position[EGO + 1 :][np.abs(position[EGO + 1 :] - position[EGO]).sum(1).argmin()]
-        middle = (position[EGO] + nearest) / 2
-        self.crash.set_data(middle[:1], middle[1:])
 
 
 class _PolicyRow:

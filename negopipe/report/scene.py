@@ -70,8 +70,14 @@ def add_polygon(axis: Axes, color: str, alpha: float = 1.0) -> Polygon:
 
 def view_limits(starts: Sequence[np.ndarray], scene: Scene) -> tuple[float, float, float, float]:
     """Left, right, lower and upper limit of a panel, m: the road between the outermost of `starts` (each [V, 2])."""
+    return limits_within(
+        max(abs(along_street(scene, position)[0]) for start in starts for position in start) + 4, scene
+    )
+
+
+def limits_within(reach_m: float, scene: Scene) -> tuple[float, float, float, float]:
+    """Left, right, lower and upper limit of a panel, m: the road within `reach_m` of the corridor's middle."""
     sigma = scene.line_m[:, 0]
-    reach_m = max(abs(along_street(scene, position)[0]) for start in starts for position in start) + 4
     shown = np.linspace(-reach_m, reach_m, 201)
     x, y = (np.concatenate([np.interp(shown, sigma, kerb[:, axis]) for kerb in scene.kerbs_m]) for axis in (0, 1))
     return x.min(), x.max(), y.min() - 0.7, y.max() + 0.7

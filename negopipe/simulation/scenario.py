@@ -1,7 +1,7 @@
 """Tasks: the start positions, speeds and driving styles of an episode, and the distributions they are drawn from."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple
@@ -29,11 +29,8 @@ from negopipe.simulation.map_config import MapConfig, read_map
 from negopipe.simulation.road_config import RoadConfig, StreetsConfig
 from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import EGO, Casting, Task
+from negopipe.simulation.task_values import between, between_each, one_of, outside, queue, with_ego
 from negopipe.simulation.vehicle_kinds import VehicleKinds, bounds, draw_kinds
-from negopipe.tensors.stateless_rng import mix, uniform
-
-QUEUE = 0x9E0E
-"""Offset of the key from which the spacing of queues is drawn, apart from the other draws of an episode."""
 
 
 @schema
@@ -272,32 +269,64 @@ class TaskSampler:
 
     def draw(self, n: int) -> Task:
         """Draw `n` tasks, on the generator's device."""
-        scenario, tables = self.scenario, self._tables
-        n_vehicles, n_others = scenario.n_vehicles, scenario.n_others
-        widths = [1, 1, 1, 1, n_vehicles, n_vehicles, n_others, n_others, n_others, n_others]
-        shares = torch.rand(n, sum(widths), generator=self.generator, device=self.generator.device)
-        which, noise, ego, first, start, desired, style, next_style, switch, patience = shares.split(widths, dim=1)
+        return self._tasks(*self._random(n, self.generator))
+
+    def draw_for(self, worlds: Tensor) -> Task:
+        """Draw the next tasks of `worlds` [n] int64 from the one stream of all worlds."""
+        return self.draw(len(worlds))
+
+    def draw_each(self, generators: Sequence[torch.Generator]) -> Task:
+        """Draw one task with each of the generators, the one that a sampler with that generator draws."""
+        parts = [self._random(1, generator) for generator in generators]
+        shares, streets = zip(*parts, strict=True)
+        return self._tasks(torch.cat(shares), torch.cat(streets))
+
+    def get_state(self) -> Tensor:
+        """State of the generator, uint8."""
+        return self.generator.get_state()
+
+    def set_state(self, state: Tensor) -> None:
+        """Restore what `get_state` returned."""
+        self.generator.set_state(state)
+
+    def _random(self, n: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """All random values of `n` tasks: uniform numbers [n, K] and streets [n]."""
+        shares = torch.rand(n, sum(self._widths), generator=generator, device=generator.device)
+        return shares, self._draw_streets(n, generator)
+
+    @property
+    def _widths(self) -> list[int]:
+        """Numbers of uniform values per task for each of its quantities."""
+        n_vehicles, n_others = self.scenario.n_vehicles, self.scenario.n_others
+        return [1, 1, 1, 1, n_vehicles, n_vehicles, n_others, n_others, n_others, n_others]
+
+    def _tasks(self, shares: Tensor, streets: Tensor) -> Task:
+        """The tasks that follow from random values."""
+        scenario, tables, n_vehicles = self.scenario, self._tables, self.scenario.n_vehicles
+        which, noise, ego, first, start, desired, style, next_style, switch, patience = shares.split(
+            self._widths, dim=1
+        )
         family = torch.searchsorted(tables.until, which[:, 0].contiguous(), right=True).clamp(max=len(tables.until) - 1)
-        ego = _between(scenario.ego_start_distance_m, ego)
+        ego = between(scenario.ego_start_distance_m, ego)
         noise_seed = (noise[:, 0] * 2**24).long()  # 24 bits is what a random float32 has
-        oncoming, with_ego = (
-            _queue(scenario.social_spacing_m, noise_seed, n, channel)
+        oncoming, behind_ego = (
+            queue(scenario.social_spacing_m, noise_seed, n, channel)
             for channel, n in enumerate((scenario.n_social, 1 + scenario.n_followers))
         )
-        social = _outside(tables.gaps[family], tables.distance[family], first) + oncoming
-        followers = ego + with_ego[:, 1:]
-        direction = -self._draw_streets(n)[:, None].expand(-1, n_vehicles).contiguous()
+        social = outside(tables.gaps[family], tables.distance[family], first) + oncoming
+        followers = ego + behind_ego[:, 1:]
+        direction = -streets[:, None].expand(-1, n_vehicles).contiguous()
         direction[:, [EGO, *range(1 + scenario.n_social, n_vehicles)]] *= -1
         task = Task(
             start_distance=torch.cat([ego, social, followers], dim=1),
-            start_speed=_between(scenario.start_speed_mps, start),
-            desired_speed=_between(scenario.desired_speed_mps, desired),
-            style_horizon=_with_ego(torch.nan, _one_of(tables.styles, tables.n_styles, family, style)),
-            next_style_horizon=_with_ego(
-                torch.nan, _one_of(tables.next_styles, tables.n_next_styles, family, next_style)
+            start_speed=between(scenario.start_speed_mps, start),
+            desired_speed=between(scenario.desired_speed_mps, desired),
+            style_horizon=with_ego(torch.nan, one_of(tables.styles, tables.n_styles, family, style)),
+            next_style_horizon=with_ego(
+                torch.nan, one_of(tables.next_styles, tables.n_next_styles, family, next_style)
             ),
-            switch_time=_with_ego(torch.inf, _between_each(tables.switch_time[family], switch)),
-            patience=_with_ego(torch.inf, _between_each(tables.patience[family], patience)),
+            switch_time=with_ego(torch.inf, between_each(tables.switch_time[family], switch)),
+            patience=with_ego(torch.inf, between_each(tables.patience[family], patience)),
             direction=direction,
             noise_seed=noise_seed,
             family=family,
@@ -308,12 +337,12 @@ class TaskSampler:
         task = draw_kinds(scenario.kinds, task)
         return task if self._assign is None else self._assign(task)
 
-    def _draw_streets(self, n: int) -> Tensor:
+    def _draw_streets(self, n: int, generator: torch.Generator) -> Tensor:
         """[n] float32: numbers of streets; of one street no random value is drawn."""
-        first, device = self.streets.start, self.generator.device
+        first, device = self.streets.start, generator.device
         if len(self.streets) == 1:
             return torch.full((n,), float(first), device=device)
-        return first + torch.randint(len(self.streets), (n,), generator=self.generator, device=device).float()
+        return first + torch.randint(len(self.streets), (n,), generator=generator, device=device).float()
 
 
 def _tabulate(families: list[FamilyConfig], device: torch.device) -> _Tables:
@@ -349,51 +378,3 @@ def _padded(rows: list[list[float]]) -> tuple[Tensor, Tensor]:
     longest = max(map(len, rows))
     filled = [row + [math.nan] * (longest - len(row)) for row in rows]
     return torch.tensor(filled), torch.tensor([len(row) for row in rows])
-
-
-def _one_of(values: Tensor, n_values: Tensor, family: Tensor, share: Tensor) -> Tensor:
-    """[n, V] float32: one of the values of the family for each vehicle."""
-    last = (n_values - 1)[family, None]
-    index = (share * n_values[family, None]).long().minimum(last)
-    return values[family].gather(1, index)
-
-
-def _queue(spacing_m: float | tuple[float, float], noise_seed: Tensor, n: int, channel: int) -> Tensor:
-    """[E, n] m: distances of a queue's vehicles behind the first, functions of the tasks' noise seeds."""
-    vehicle = torch.arange(n, device=noise_seed.device)
-    low, high = bounds(spacing_m)
-    if low == high:
-        return (vehicle * low).expand(len(noise_seed), -1)
-    spacing = _between((low, high), uniform(mix(mix(noise_seed)[:, None] + vehicle) + QUEUE, channel))
-    return (spacing * (vehicle > 0)).cumsum(1)
-
-
-def _between(interval: tuple[float, float], share: Tensor) -> Tensor:
-    low, high = interval
-    return low + (high - low) * share
-
-
-def _between_each(intervals: Tensor, share: Tensor) -> Tensor:
-    """[n, V] float32 from the intervals [n, 2] of the rows; an interval at infinity gives infinity."""
-    low, high = intervals[:, :1], intervals[:, 1:]
-    return torch.where(low.isinf(), low, low + (high - low) * share)
-
-
-def _outside(gaps: Tensor, intervals: Tensor, share: Tensor) -> Tensor:
-    """[n, V] float32 from the intervals [n, 2] of the rows without their gaps [n, G, 2].
-
-    A place is drawn in an interval that is shorter by the gaps, and moved up by every gap that it reaches. The bounds
-    correct float32 rounding into a gap or past the end of the interval.
-    """
-    low, high = intervals[:, :1], intervals[:, 1:]
-    length = high - low - gaps.diff(dim=-1).nan_to_num(nan=0.0).sum(dim=1)  # NaN: inf - inf, of the padding
-    distance = low + length * share
-    for gap in gaps.unbind(dim=1):
-        start, end = gap.split(1, dim=1)
-        distance = torch.where(distance >= start, (distance + (end - start)).maximum(end), distance)
-    return distance.clamp(low, high)
-
-
-def _with_ego(ego: float, social: Tensor) -> Tensor:
-    """[n, 1 + S]: the value `ego` in the ego's column, then those of the social vehicles."""
-    return torch.cat([social.new_full((len(social), 1), ego), social], dim=1)

@@ -15,7 +15,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.seeding import np_random
 
 from negopipe.config.compose import compose_config
-from negopipe.envs.gymnasium import ENV_ID, NarrowLaneEnv, NarrowLaneVectorEnv
+from negopipe.envs.gymnasium import MOST, NarrowLaneEnv, NarrowLaneVectorEnv
+from negopipe.envs.registration import ENV_ID
 from negopipe.errors import UserError
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import build_game
@@ -46,14 +47,15 @@ def as_list(outcome: Any) -> list:
 
 
 def is_same(a: Any, b: Any) -> bool:
-    return all(np.array_equal(x, y) for x, y in zip(as_list(a), as_list(b), strict=True))
+    pairs = list(zip(as_list(a), as_list(b), strict=True))
+    return all(np.array_equal(x, y, equal_nan=np.asarray(x).dtype.kind == "f") for x, y in pairs)
 
 
 def test_single_passes_the_checker() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = gymnasium.make(ENV_ID, disable_env_checker=True).unwrapped
-        check_env(env, skip_render_check=True)
+        env = gymnasium.make(ENV_ID, disable_env_checker=True, render_mode="rgb_array").unwrapped
+        check_env(env, skip_render_check=True)  # test_rendering.py has all render modes
 
 
 def test_single_keeps_the_final_observation() -> None:
@@ -128,17 +130,17 @@ def test_vector_resets_in_the_same_step() -> None:
 
 def test_episodes_are_those_of_the_game(three: NarrowLaneVectorEnv) -> None:
     config = compose_config()
-    tasks = torch.Generator().manual_seed(int(np_random(SEED)[0].integers(2**62)))
-    sampler = TaskSampler(config.scenario, config.evaluated_families, tasks)
-    worlds = NegotiationEnv(build_game(config), config.reward, config.policy.horizons_s, sampler, 3)
-    worlds.sampler.generator.manual_seed(int(np_random(SEED)[0].integers(2**62)))
-    worlds.restart()
-    assert np.array_equal(three.reset(seed=SEED)[0], worlds.observe().numpy() * 255)
+    random = torch.Generator().manual_seed(int(np_random(SEED)[0].integers(MOST)))
+    sampler = TaskSampler(config.scenario, config.evaluated_families, random)
+    world_0 = NegotiationEnv(build_game(config), config.reward, config.policy.horizons_s, sampler, 1)
+    random.manual_seed(int(np_random(SEED)[0].integers(MOST)))
+    world_0.restart()
+    assert np.array_equal(three.reset(seed=SEED)[0][:1], world_0.observe().numpy() * 255)
     for action in ACTIONS[:60]:
-        observation, reward, terminated, truncated, _ = three.step(action)
-        reached = worlds.step(torch.from_numpy(action))
-        assert np.array_equal(observation, reached.observation.numpy() * 255)
-        assert is_same((reward, terminated, truncated), (reached.reward, reached.is_terminated, reached.is_truncated))
+        outcome = [part[:1] for part in three.step(action)[:4]]  # type: ignore[index]
+        reached = world_0.step(torch.from_numpy(action[:1]))
+        assert np.array_equal(outcome[0], reached.observation.numpy() * 255)
+        assert is_same(tuple(outcome[1:]), (reached.reward, reached.is_terminated, reached.is_truncated))
 
 
 @pytest.mark.parametrize("overrides", ["device=cuda", "seed=3", "compile=off", "algorithm.n_worlds=8"])
@@ -166,14 +168,6 @@ def test_overrides_that_others_need_are_taken() -> None:
 def test_wrong_overrides_are_one_line(overrides: Any, message: str) -> None:
     with pytest.raises(UserError, match=f"^{message}[^\n]*$"):
         NarrowLaneEnv(overrides)
-
-
-def test_render_mode_none_is_taken_and_others_are_refused() -> None:
-    assert gymnasium.make(ENV_ID, render_mode=None).render_mode is None
-    assert NarrowLaneVectorEnv(1, render_mode=None).render_mode is None
-    for make in (NarrowLaneEnv, NarrowLaneVectorEnv):
-        with pytest.raises(UserError, match="render_mode must be None, got 'human'"):
-            make(render_mode="human")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("action", [1, np.int64(1), np.int32(1), np.array(1), np.array([1]), np.array([[1]], np.uint8)])
@@ -222,17 +216,25 @@ def test_vector_needs_a_number_of_worlds(n_worlds: Any) -> None:
         NarrowLaneVectorEnv(n_worlds)
 
 
-def test_vector_refuses_a_seed_per_world(three: NarrowLaneVectorEnv) -> None:
-    with pytest.raises(UserError, match=r"seed must be one int for all worlds, got \[1, 2, 3\]"):
-        three.reset(seed=[1, 2, 3])
+def test_vector_takes_a_seed_per_world(three: NarrowLaneVectorEnv) -> None:
+    counted = three.reset(seed=SEED)[0]
+    assert np.array_equal(three.reset(seed=[SEED, SEED + 1, SEED + 2])[0], counted)
+    again, fresh = three.reset(seed=[None, SEED + 1, None])[0], three.reset(seed=SEED)[0]
+    assert [np.array_equal(*pair) for pair in zip(again, fresh, strict=True)] == [False, True, False]
+
+
+@pytest.mark.parametrize("seed", [[1, 2], 1.5, [1, 2, "3"], [True, 1, 2]], ids=repr)
+def test_other_seeds_are_refused(three: NarrowLaneVectorEnv, seed: Any) -> None:
+    with pytest.raises(UserError, match=r"^seed must be an int or a list of 3 ints, got .*$"):
+        three.reset(seed=seed)
 
 
 def test_unknown_options_are_refused(single: NarrowLaneEnv, three: NarrowLaneVectorEnv) -> None:
     single.reset(options={})
-    for env, allowed in ((single, "empty"), (three, "reset_mask")):
+    for env, allowed in ((single, "task"), (three, "task or reset_mask")):
         with pytest.raises(UserError, match=f"options must be {allowed}, got the key 'start_m'"):
             env.reset(options={"start_m": 3})  # type: ignore[attr-defined]
-    with pytest.raises(UserError, match="options must be empty, got the key 'reset_mask'"):
+    with pytest.raises(UserError, match="options must be task, got the key 'reset_mask'"):
         single.reset(options={"reset_mask": np.array([True])})
 
 
@@ -252,9 +254,11 @@ def test_reset_mask_resets_the_worlds_that_it_names(three: NarrowLaneVectorEnv) 
 
 
 def test_reset_mask_draws_other_tasks_without_a_seed(three: NarrowLaneVectorEnv) -> None:
-    first = three.reset(seed=SEED)[0]
-    second = three.reset(options={"reset_mask": np.array([False, True, False])})[0]
-    assert [np.array_equal(a, b) for a, b in zip(first, second, strict=True)] == [True, False, True]
+    starts = []
+    for options in ({}, {"reset_mask": np.array([False, True, False])}):
+        three.reset(seed=None if options else SEED, options=options)
+        starts.append(three._worlds._env.world.task.start_distance[:, 1])
+    assert (starts[0] == starts[1]).tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize(
@@ -291,7 +295,7 @@ def test_copies_go_on_where_the_environment_stands(duplicate: Any, three: Narrow
 def test_copies_draw_the_same_tasks(three: NarrowLaneVectorEnv) -> None:
     three.reset(seed=SEED)
     other, n_ended = pickled(three), 0
-    for action in ACTIONS:
+    for action in np.concatenate([ACTIONS, ACTIONS]):  # longer than an episode may last
         outcome = three.step(action)
         n_ended += outcome[2].sum() + outcome[3].sum()
         assert is_same(other.step(action), outcome)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from negopipe.envs.gymnasium import ENV_ID, NarrowLaneVectorEnv
+from negopipe.envs.gymnasium import NarrowLaneVectorEnv
+from negopipe.envs.registration import ENV_ID
 from negopipe.errors import UserError
 
 sb3 = pytest.importorskip("stable_baselines3")
@@ -68,7 +69,7 @@ def test_options_are_those_of_the_next_reset(envs: Sb3VecEnv) -> None:
     assert [np.array_equal(a, b) for a, b in zip(first, second, strict=True)] == [True, False, True]
     assert not np.array_equal(envs.reset()[0], second[0])
     envs.set_options({"start_m": 3})
-    with pytest.raises(UserError, match="options must be reset_mask, got the key 'start_m'"):
+    with pytest.raises(UserError, match="options must be task or reset_mask, got the key 'start_m'"):
         envs.reset()
     envs.set_options(None)
     envs.reset()

@@ -10,8 +10,8 @@ from games import draw_tasks
 
 from negopipe.agents.driver import HorizonDriver, fixed_horizon
 from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
+from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
 from negopipe.game.game import Game, build_game, has_compiler

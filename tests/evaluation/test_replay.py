@@ -9,8 +9,8 @@ from games import draw_tasks
 
 from negopipe.agents.driver import HorizonDriver
 from negopipe.agents.horizon_drivers import adaptive_planner
+from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.replay import record_policy, replay
 from negopipe.evaluation.trace import EPISODE_AXIS, Trace

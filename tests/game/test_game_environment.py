@@ -100,7 +100,7 @@ def test_a_world_knows_the_horizons_that_were_driven(config: RunConfig, game: Ga
         assert env.world.last_horizon[:, EGO].tolist() == [config.policy.horizons_s[action]] * 4
         assert torch.equal(env.world.last_horizon[:, 1], style)
         assert torch.equal(game.perceive(env.world).last_horizon, env.world.last_horizon)
-    env.restart(torch.tensor([True, False, False, False]))
+    env.begin(env.sampler.draw_for(torch.tensor([0])), torch.tensor([0]))
     assert env.world.last_horizon.isnan().any(1).tolist() == [True, False, False, False]
 
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from situations import CAR
 
+from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import Game
 from negopipe.planner.prediction import ConstantAccelerationConfig, PredictedPath, predict
 from negopipe.planner.situation import Others

@@ -3,8 +3,8 @@
 import torch
 from games import place
 
+from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import build_game
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import TaskSampler

@@ -79,13 +79,13 @@ def test_the_ribbon_is_as_long_as_the_prediction(traces: list[Trace], scene: Sce
     trace = replace(traces[0], horizon_s=np.full_like(traces[0].horizon_s, horizon_s))
     panel = _Film([trace], 0, scene, FIXED_S).panels[0]
     panel.artists_at(1.0)
-    outline = panel.ribbons[0].get_xy()
+    outline = panel.view.ribbons[0].get_xy()
     assert np.ptp(outline[:, 0]) == pytest.approx(horizon_s * trace.speed_mps[5, 0, 1], abs=1e-4)
     if horizon_s:
         assert outline[:, 0].min() < trace.position_m[5, 0, 1, 0] - 1  # ahead of a vehicle that comes towards us
         half = outline[outline[:, 0].argmin(), 1]
         assert abs(half) <= 1.75 + trace.width_m[0, 1] / 2  # on its route
-    assert panel.ribbons[0].get_facecolor()[:3] == pytest.approx(
+    assert panel.view.ribbons[0].get_facecolor()[:3] == pytest.approx(
         [int(horizon_color(horizon_s)[i : i + 2], 16) / 255 for i in (1, 3, 5)]
     )
 
@@ -95,7 +95,7 @@ def test_between_decisions_vehicles_move_on_evenly(traces: list[Trace], scene: S
     centers = []
     for time_s in (0.4, 0.5, 0.6):
         panel.artists_at(time_s)
-        centers.append(panel.bodies[0].get_xy()[:4].mean(0))
+        centers.append(panel.view.bodies[0].get_xy()[:4].mean(0))
     np.testing.assert_allclose(centers[1], (centers[0] + centers[2]) / 2, atol=1e-6)
     np.testing.assert_allclose(centers[2], traces[0].position_m[3, 0, 0], atol=1e-5)
 
@@ -104,10 +104,10 @@ def test_the_end_is_told_and_stays(traces: list[Trace], scene: Scene) -> None:
     crashed = next(trace for trace in traces if OUTCOMES[trace.outcome[0]] == "collision")
     panel = _Film([crashed], 0, scene, FIXED_S).panels[0]
     panel.artists_at(0.0)
-    assert not panel.crash.get_visible()
+    assert not panel.view.crash.get_visible()
     panel.artists_at(1e3)
-    assert panel.crash.get_visible()
-    assert panel.status.get_text() == f"collision after {crashed.n_steps[0] * crashed.dt_s:.1f} s"
+    assert panel.view.crash.get_visible()
+    assert panel.view.status.get_text() == f"collision after {crashed.n_steps[0] * crashed.dt_s:.1f} s"
 
 
 def test_the_grids_and_probabilities_of_the_policy_are_drawn(traces: list[Trace], scene: Scene) -> None:

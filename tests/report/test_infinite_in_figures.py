@@ -58,8 +58,8 @@ def test_the_ribbon_is_as_long_as_a_plan(traces: list[Trace], scene: Scene) -> N
     for plan_s in (2.0, 6.0):
         panel = _Film([trace], 0, replace(scene, plan_s=plan_s), FIXED).panels[0]
         panel.artists_at(1.0)
-        assert panel.horizon.get_text() == f"horizon {SIGN}"
-        length_m = np.ptp(panel.ribbons[0].get_xy()[:, 0])
+        assert panel.view.horizon.get_text() == f"horizon {SIGN}"
+        length_m = np.ptp(panel.view.ribbons[0].get_xy()[:, 0])
         assert length_m == pytest.approx(plan_s * trace.speed_mps[5, 0, 1], abs=1e-4)
 
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from negopipe.envs.gymnasium import compose_config
+from negopipe.config.compose import compose_config
 from negopipe.learning.update import minibatches
 from negopipe.runtime.network_passes import forward_backward, iteration_passes, minibatch_sizes, random_observations
 from negopipe.tensors.row_blocks import Elements, RowBlocks

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from negopipe.envs.gymnasium import compose_config
+from negopipe.config.compose import compose_config
 from negopipe.errors import UserError
 from negopipe.runtime import backend
 from negopipe.runtime.workers import n_processes, side_by_side

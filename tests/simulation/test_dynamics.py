@@ -7,8 +7,8 @@ import pytest
 import torch
 from games import draw_tasks
 
+from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.game.game import build_game
 from negopipe.simulation.dynamics import Bicycle, BicycleConfig
 from negopipe.simulation.state import VehicleState

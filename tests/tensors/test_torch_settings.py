@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 import torch
 
-from negopipe.envs.gymnasium import ENV_ID, NarrowLaneVectorEnv
+from negopipe.envs.gymnasium import NarrowLaneVectorEnv
+from negopipe.envs.registration import ENV_ID
 
 TIMEOUT_S = 60
 """Far longer than it takes; a forked process that waits for its parent's threads waits for ever."""
@@ -214,7 +215,7 @@ def test_asynchronous_environments_drive(context: str) -> None:
 
 LOADED = """
 import gymnasium, torch
-import negopipe.envs.gymnasium
+import negopipe
 
 class Episodes(torch.utils.data.IterableDataset):
     def __iter__(self):

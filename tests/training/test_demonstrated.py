@@ -8,8 +8,8 @@ import pytest
 import torch
 from test_resume import SMALL, drive
 
+from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
-from negopipe.envs.gymnasium import compose_config
 from negopipe.errors import UserError
 from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.game.game import Game, build_game
