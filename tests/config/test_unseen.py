@@ -26,6 +26,12 @@ def case(name: str) -> Config:
     return config("+experiment=unseen", f"+unseen={name}")
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_a_case_is_the_same_in_whatever_order_it_is_asked_for(name: str) -> None:
+    """A sweep composes its parameters first."""
+    assert case(name) == config(f"+unseen={name}", "+experiment=unseen")
+
+
 def interval(value: Any) -> tuple[float, float]:
     return bounds(tuple(value) if isinstance(value, list) else value)
 
