@@ -102,7 +102,7 @@ def all_keys() -> dict[str, tuple[Options, Any]]:
     for options in (OTHER_OPTIONS, OBJECTS, GRIDS):  # a key of several is tested with the defaults
         for key, value in nodes(OmegaConf.to_container(composed((*TINY, *options)), resolve=True)):
             stage = STAGE_OF.get(key.partition(".")[0])
-            runs = (f"stages=[{stage}]",) if stage else ()
+            runs = (*(["population=mixed"] if stage == "cross_play" else []), f"stages=[{stage}]") if stage else ()
             keys[key] = ((*options, *runs), value)
     return keys
 

@@ -66,7 +66,7 @@ def main(mine):
     again = hydra.compose("config", ["scenario.dt_s=8"])
     assert (mine.scenario.dt_s, again.scenario.dt_s) == (7.0, 8.0)
     assert OmegaConf.create({"a": "${now:}"}).a == "mine"
-    print("config", json.dumps(as_mapping(env._config)))
+    print("config", json.dumps(as_mapping(env._worlds.config)))
 
 
 main()

@@ -146,6 +146,6 @@ def test_an_intervention_of_the_safety_layer_is_told(traces: list[Trace], scene:
     texts = []
     for step in (1, 2, 3):
         film.draw((step + 0.5) * traces[0].dt_s)
-        texts.append(film.panels[0].horizon.get_text())
+        texts.append(film.panels[0].view.horizon.get_text())
     assert texts[1] == "safety: planned stop"
     assert "safety" not in texts[0] + texts[2]
