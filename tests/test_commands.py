@@ -15,16 +15,19 @@ from mlflow_server import free_port, server
 
 ROOT = Path(__file__).parent.parent
 SMALL = (
-    "compile=off n_threads=1 policy.precision=float32 policy.memory_format=channels_last scenario.episode_steps=48 "
+    "compile=off n_threads=1 scenario.episode_steps=48 "
     "'curriculum.stages=[{name:few,n_iterations:2,families:{yield:${scenario.families.yield}}}]' "
     "curriculum.demonstrations=null algorithm.n_worlds=4 algorithm.n_steps=8 algorithm.minibatch_size=16 "
     "evaluation.n_episodes=4 report.n_animations=1 behaviour_map.n_episodes=2 cross_play.n_episodes=2 "
     "oracle.n_episodes=2 oracle.population=2 oracle.rounds=1 benchmark.n_worlds=[1,2] benchmark.base_n_worlds=1 "
     "benchmark.backends=[eager] benchmark.min_time_s=0.01 benchmark.n_latencies=5 benchmark.n_iterations=2"
 )
+OF_GRIDS = "policy.precision=float32 policy.memory_format=channels_last"
+"""Keys that a network of objects does not have."""
 SMALL_PYTHON = f"""#!/usr/bin/env bash
 if [ "$1 $2" = "-m negopipe" ] && [[ " $* " != *" --help "* && " $* " != *" --cfg "* ]]; then
   [[ " $* " == *hydra/sweeper=optuna* ]] && set -- "$@" hydra.sweeper.n_trials=2
+  [[ " $* " =~ (experiment=(generalist|generalist_gpu|unseen|cross_play)|policy=objects)" " ]] || set -- "$@" {OF_GRIDS}
   exec {sys.executable} "$@" {SMALL}
 fi
 exec {sys.executable} "$@"
