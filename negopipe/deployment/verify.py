@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import torch
 from omegaconf import OmegaConf
 from torch import Tensor
@@ -23,6 +22,7 @@ from negopipe.config.root import load
 from negopipe.deployment.driven import drive_held_out
 from negopipe.deployment.manifest import POLICY_NAME, read_manifest
 from negopipe.deployment.onnx_file import need_packages, open_onnx
+from negopipe.deployment.parity_table import put_row
 from negopipe.deployment.policy_file import INPUT
 from negopipe.errors import UserError
 from negopipe.game.game import build_game
@@ -30,7 +30,7 @@ from negopipe.policy.actor_critic import greedy_action
 from negopipe.runtime.build import load_policy, with_learned
 from negopipe.tensors.torch_settings import own_settings
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
-from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
+from negopipe.tracking.csv_file import CsvKind
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
@@ -91,10 +91,7 @@ def add_row(path: Path, name: str, parity: Parity) -> None:
     """Write a row of the figures into a table, in the place of one with the same name."""
     figures = {field.name: getattr(parity, field.name) for field in fields(parity)}
     figures["n_by_action"] = " ".join(map(str, parity.n_by_action))
-    row = pd.DataFrame([{"export": name, **figures}])
-    rows = [read_csv(path, ROWS)] if path.is_file() else []
-    others = [table[table["export"] != name] for table in rows]
-    write_csv(path, pd.concat([*others, row], ignore_index=True), ROWS)
+    put_row(path, ROWS, name, figures)
 
 
 @own_settings()

@@ -10,11 +10,10 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import torch
 
 from negopipe.deployment.decision import Decision
@@ -22,6 +21,7 @@ from negopipe.deployment.decision_file import DecisionSession, StreetInputs, arg
 from negopipe.deployment.driven import drive_held_out
 from negopipe.deployment.manifest import DECISION_NAME, read_manifest
 from negopipe.deployment.onnx_file import need_packages
+from negopipe.deployment.parity_table import put_row
 from negopipe.deployment.policy_file import exported
 from negopipe.deployment.verify import config_of
 from negopipe.errors import UserError
@@ -30,7 +30,7 @@ from negopipe.runtime.build import load_policy, with_learned
 from negopipe.simulation.state import World
 from negopipe.tensors.torch_settings import own_settings
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
-from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
+from negopipe.tracking.csv_file import CsvKind
 
 COMMAND = "python -m negopipe.deployment.verify_decision"
 TOLERANCE_M = 1e-3
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         parity = verify_decision(given.folder, given.decisions)
         if given.table is not None:
-            _add_row(given.table, given.folder.resolve().name, parity)
+            put_row(given.table, ROWS, given.folder.resolve().name, asdict(parity))
     except UserError as error:
         print(error, file=sys.stderr)
         return 1
@@ -113,14 +113,6 @@ def verify_decision(folder: Path, n_decisions: int) -> DecisionParity:
 
     drive_held_out(config, game, choose, n_decisions)
     return DecisionParity.of(np.array(rows))
-
-
-def _add_row(path: Path, name: str, parity: DecisionParity) -> None:
-    figures = {field.name: getattr(parity, field.name) for field in fields(parity)}
-    row = pd.DataFrame([{"export": name, **figures}])
-    rows = [read_csv(path, ROWS)] if path.is_file() else []
-    others = [table[table["export"] != name] for table in rows]
-    write_csv(path, pd.concat([*others, row], ignore_index=True), ROWS)
 
 
 if __name__ == "__main__":

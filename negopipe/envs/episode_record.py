@@ -5,13 +5,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from negopipe.evaluation.episodes import DEADLOCK_S
+from negopipe.evaluation.episodes import stands_nose_to_nose
 from negopipe.evaluation.episodes_file import COLUMNS, Drives
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.game.game import Game
 from negopipe.report.street_view import Moment
 from negopipe.simulation.simulator import Events
-from negopipe.simulation.state import AT_REST_MPS, EGO, Motion, World
+from negopipe.simulation.state import EGO, Motion, World
+from negopipe.tensors.tree import map_tensors
 
 METRICS = (
     *("outcome", "n_decisions", "driving_time_s", "social_time_s", "suspend_count", "suspend_time_s"),
@@ -136,14 +137,10 @@ class EpisodeRecord:
         return "deadlock" if self._stands_nose_to_nose(game, moved, world) else "timeout"
 
     def _stands_nose_to_nose(self, game: Game, moved: World, world: int) -> bool:
-        """The ego and an oncoming vehicle that it has not passed have been at rest for 5 s."""
-        end = int(self.n_decisions[world]) + 1
-        latest = self._states["speed_mps"][max(0, end - round(DEADLOCK_S / self.dt_s)) : end, world]
-        is_at_rest = np.all(np.abs(latest) < AT_REST_MPS, axis=0)
-        position, direction = moved.vehicles.position[[world]], moved.task.direction[[world]]
-        s = game.simulator.road.progress(position, direction[:, :1])[0].numpy()
-        is_oncoming = (direction != direction[:, :1])[0].numpy()
-        return bool(is_at_rest[EGO] and (is_at_rest & (s > s[EGO]) & is_oncoming).any())
+        """Whether the episode of a world ends in a deadlock."""
+        until = int(self.n_decisions[world]) + 1
+        speed = torch.from_numpy(self._states["speed_mps"][:until, [world]])
+        return bool(stands_nose_to_nose(speed, map_tensors(lambda field: field[[world]], moved), game))
 
 
 def metrics(trace: Trace, braking_mps2: float, plan_s: float) -> dict[str, Any]:

@@ -137,7 +137,7 @@ def _record(
     n_missing = game.simulator.scenario.episode_steps - len(decisions)
     rows = _stack(states, n_missing) | _stack(decisions, 0)
     rows |= {name: _pad(rows[name], n_missing) for name in decisions[0]}
-    is_deadlock = _stands_nose_to_nose(rows["speed_mps"], world, game)
+    is_deadlock = stands_nose_to_nose(rows["speed_mps"], world, game)
     outcome = torch.where(is_deadlock, OUTCOMES.index("deadlock"), OUTCOMES.index("timeout"))
     outcome = torch.where(is_collision, OUTCOMES.index("collision"), outcome)
     outcome = torch.where(is_success, OUTCOMES.index("success"), outcome)
@@ -207,8 +207,11 @@ def _pad(decisions: Tensor, n_missing: int) -> Tensor:
     return torch.cat([decisions, filling])
 
 
-def _stands_nose_to_nose(speed: Tensor, world: World, game: Game) -> Tensor:
-    """[E] bool: at the end the ego and an oncoming vehicle that it has not passed have been at rest for 5 s."""
+def stands_nose_to_nose(speed: Tensor, world: World, game: Game) -> Tensor:
+    """[E] bool: at the end the ego and an oncoming vehicle that it has not passed have been at rest for 5 s.
+
+    speed: [T, E, V] m/s, until the end; world: at the end
+    """
     n_steps = round(DEADLOCK_S / game.simulator.scenario.dt_s)
     is_at_rest = (speed[-n_steps:].abs() < AT_REST_MPS).all(0)
     s = game.simulator.road.progress(world.vehicles.position, world.task.direction[:, :1])
