@@ -62,6 +62,8 @@ class CurriculumConfig:
     rewards: by the name of the stage, rewards that differ from the run's
     demonstrations: decisions of a search to learn from as well; null = none
     teacher: policy to imitate at first; null = none
+    hard_share: share of the draws of drivers and streets that follows what the policy loses most (Jiang et al. 2021,
+        "Prioritized level replay", with the share of lost episodes as the score); 0 = the population's weights alone
     """
 
     stages: Annotated[tuple[CurriculumStageConfig, ...], Field(min_length=1)]
@@ -70,6 +72,7 @@ class CurriculumConfig:
     rewards: dict[Label, RewardConfig]
     demonstrations: DemonstrationsConfig | None
     teacher: TeacherConfig | None
+    hard_share: Fraction
 
     def reward(self, stage: CurriculumStageConfig, otherwise: RewardConfig) -> RewardConfig:
         """Reward of a stage; `otherwise` where the stage has none of its own."""

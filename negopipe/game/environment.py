@@ -108,6 +108,7 @@ class NegotiationEnv:
                 "social_start_distance_m": world.task.start_distance[which, NEAREST],
                 "style_horizon_s": world.task.style_horizon[which, NEAREST],
                 "social_driver": world.task.casting.driver[which, NEAREST],
+                "street": world.task.direction[which, EGO].abs().long(),
             },
         )
 

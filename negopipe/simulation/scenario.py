@@ -247,7 +247,8 @@ class TaskSampler:
 
     assign: gives the vehicles of drawn tasks their drivers, `agents.population.Cast.assign`; None = the planner drives
         all of them, in the styles of the families
-    streets: numbers of the streets on which tasks are drawn, each equally likely; None = those that are held out
+    streets: numbers of the streets on which tasks are drawn; None = those that are held out
+    street_weights: [len(streets)], how likely each is; None = equally
     """
 
     def __init__(
@@ -264,6 +265,7 @@ class TaskSampler:
         self.families = pair_styles(families, scenario.pairing)
         self.generator = generator
         self.streets = scenario.held_out_streets if streets is None else streets
+        self.street_weights: Tensor | None = None
         self._assign = assign
         self._tables = _tabulate(list(self.families.values()), generator.device)
 
@@ -342,6 +344,8 @@ class TaskSampler:
         first, device = self.streets.start, generator.device
         if len(self.streets) == 1:
             return torch.full((n,), float(first), device=device)
+        if self.street_weights is not None:
+            return first + torch.multinomial(self.street_weights, n, True, generator=generator).float()
         return first + torch.randint(len(self.streets), (n,), generator=generator, device=device).float()
 
 

@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import torch
 from torch import Tensor, nn
 
 from negopipe.game.curriculum import Curriculum, CurriculumStageConfig
@@ -22,6 +23,7 @@ from negopipe.tracking.snapshots import Snapshots
 from negopipe.training.demonstration_search import demonstrations
 from negopipe.training.league import League
 from negopipe.training.learning_curve import MEANS_OF_EPISODES, LearningCurve
+from negopipe.training.lost_shares import LostShares
 from negopipe.training.teacher import Teacher
 
 if TYPE_CHECKING:
@@ -52,7 +54,10 @@ class Training:
         self.n_steps = algorithm.n_steps
         self.curriculum, self._reward = Curriculum(config.curriculum), config.reward
         scenario = config.curriculum.scenario(config.scenario)
-        self.league = League(game.cast, self.policy)
+        hard_share = config.curriculum.hard_share
+        self.league = League(game.cast, self.policy, hard_share)
+        self._lost_streets = LostShares(len(scenario.training_streets), device)
+        self._hard_share = hard_share
         self._samplers = [
             TaskSampler(scenario, stage.families, tasks, self.league.assign, scenario.training_streets)
             for stage in config.curriculum.stages
@@ -82,14 +87,19 @@ class Training:
         label = self._teacher.label if self._teacher is not None and progress < self._taught_until else None
         rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running, label)
         metrics = self.learner.update(rollout, progress)  # advantages, then the algorithm's updates
-        self.league.record(rollout.final_info["social_driver"], rollout.is_success[rollout.is_over])
+        is_success = rollout.is_success[rollout.is_over]
+        self.league.lost.record(rollout.final_info["social_driver"], is_success)
+        self._lost_streets.record(rollout.final_info["street"] - 1, is_success)
         self.league.admit(self.policy, self.n_done + 1)
         return self._record(stage, rollout, metrics)
 
     def _select_task_distribution(self) -> CurriculumStageConfig:
         """The current stage (K, D), from whose D every new episode draws its task."""
         stage = self.curriculum.stage
-        self.env.sampler = self._samplers[self.curriculum.index]
+        self.env.sampler = sampler = self._samplers[self.curriculum.index]
+        if self._hard_share > 0:
+            lost = self._lost_streets
+            sampler.street_weights = lost.weigh(torch.ones_like(lost.shares), self._hard_share)
         self.env.reward_config = self.curriculum.config.reward(stage, self._reward)
         return stage
 
@@ -113,6 +123,7 @@ class Training:
             | add_prefix("learner", self.learner.state_dict())
             | add_prefix("env", self.env.state_dict())
             | add_prefix("league", self.league.state_dict())
+            | {"lost_streets": self._lost_streets.shares}
             | add_prefix("running", named_tensors(self.running))
             | add_prefix("episodes", self.curve.episodes)
             | {"actions": self.actions.get_state()}
@@ -130,6 +141,7 @@ class Training:
         self.learner.load_state_dict(strip_prefix("learner", state))
         self.env.load_state_dict(strip_prefix("env", state))
         self.league.load_state_dict(strip_prefix("league", state))
+        self._lost_streets.shares = state["lost_streets"].to(self.env.game.simulator.road.device)
         self.running = with_tensors(self.running, strip_prefix("running", state))
         self.actions.set_state(state["actions"])
         self.curve.load_state_dict(progress["curve"], strip_prefix("episodes", state))

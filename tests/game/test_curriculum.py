@@ -21,7 +21,7 @@ def stages_of(curriculum: Curriculum, successes: list[bool]) -> str:
 
 @pytest.mark.parametrize("successes", [[], [True], [False] * 5])
 def test_without_advance_every_stage_takes_its_iterations(successes: list[bool]) -> None:
-    assert stages_of(Curriculum(CurriculumConfig(STAGES, None, STARTS, {}, None, None)), successes) == "aabbbc"
+    assert stages_of(Curriculum(CurriculumConfig(STAGES, None, STARTS, {}, None, None, 0.0)), successes) == "aabbbc"
 
 
 @pytest.mark.parametrize(
@@ -36,16 +36,16 @@ def test_without_advance_every_stage_takes_its_iterations(successes: list[bool])
 )
 def test_a_mastered_stage_ends_early(successes: list[bool], expected: str) -> None:
     advance = AdvanceConfig(success_rate=0.6, n_episodes=3)
-    assert stages_of(Curriculum(CurriculumConfig(STAGES, advance, STARTS, {}, None, None)), successes) == expected
+    assert stages_of(Curriculum(CurriculumConfig(STAGES, advance, STARTS, {}, None, None, 0.0)), successes) == expected
 
 
 def test_says_when_the_stage_changes() -> None:
-    curriculum = Curriculum(CurriculumConfig(STAGES, None, STARTS, {}, None, None))
+    curriculum = Curriculum(CurriculumConfig(STAGES, None, STARTS, {}, None, None, 0.0))
     assert [curriculum.finish_iteration([]) for _ in range(6)] == [False, True, False, False, True, False]
 
 
 def test_goes_on_where_it_stopped() -> None:
-    config = CurriculumConfig(STAGES, AdvanceConfig(success_rate=1.0, n_episodes=4), STARTS, {}, None, None)
+    config = CurriculumConfig(STAGES, AdvanceConfig(success_rate=1.0, n_episodes=4), STARTS, {}, None, None, 0.0)
     for n_before in range(6):
         whole, first, second = (Curriculum(config) for _ in range(3))
         for _ in range(n_before):
@@ -59,5 +59,5 @@ def test_goes_on_where_it_stopped() -> None:
 
 def test_a_stage_may_pay_otherwise() -> None:
     usual, dear = RewardConfig(-0.25, -5.0, 10.0, 0.0), RewardConfig(-0.25, -50.0, 10.0, 0.0)
-    config = CurriculumConfig(STAGES, None, STARTS, {"a": dear}, None, None)
+    config = CurriculumConfig(STAGES, None, STARTS, {"a": dear}, None, None, 0.0)
     assert [config.reward(stage, usual) for stage in STAGES] == [dear, usual, usual]

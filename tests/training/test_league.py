@@ -14,7 +14,8 @@ from negopipe.policy.actor_critic import ActorCritic
 from negopipe.runtime.build import build, with_learned
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import NEAREST, Task
-from negopipe.training.league import LEAST_LOST, League
+from negopipe.training.league import League
+from negopipe.training.lost_shares import LEAST_LOST
 from negopipe.training.training import Training
 
 LEAGUE = "population.drivers.league.driver"
@@ -71,15 +72,15 @@ def test_the_hardest_are_met_more_often() -> None:
     config, _, policy, league = made(f"{LEAGUE}.draw=hardest")
     assert shares(draw(config, league).casting.driver)[1:] == pytest.approx([0.25, 0.25], abs=0.03)
     n = 2000
-    league.record(torch.full((n,), 1), torch.arange(n) % 4 > 0)  # a quarter of the episodes is lost
-    league.record(torch.full((n,), 2), torch.ones(n, dtype=torch.bool))
-    lost = league.lost.tolist()
+    league.lost.record(torch.full((n,), 1), torch.arange(n) % 4 > 0)  # a quarter of the episodes is lost
+    league.lost.record(torch.full((n,), 2), torch.ones(n, dtype=torch.bool))
+    lost = league.lost.shares.tolist()
     assert lost[1] == pytest.approx(0.25, abs=0.01)
     assert lost[2] < LEAST_LOST
     expected = [0.5, 0.5 * 0.25 / 0.3, 0.5 * LEAST_LOST / 0.3]
     assert shares(draw(config, league).casting.driver) == pytest.approx(expected, abs=0.03)
     league.admit(policy, 3)  # a new member is as hard as can be until it is known
-    assert league.lost.tolist()[1] == 1.0
+    assert league.lost.shares.tolist()[1] == 1.0
 
 
 def test_members_drive_by_their_own_networks() -> None:
