@@ -166,8 +166,7 @@ def _decide(
     moved = tree_where(is_running, moved, before)
     world = map_tensors(lambda field, new: field.index_copy(0, which, new), world, moved)
     events = map_tensors(lambda field: field & is_running, events)
-    paid = reward(reward_config, events.is_collision, events.is_success, moved.vehicles.speed[:, EGO])
-    row = _decision_row(motion, paid, is_running)
+    row = _decision_row(motion, events, reward_config, is_running)
     return world, events, row | {"intervention": torch.where(is_running, intervention, 0).to(torch.int8)}
 
 
@@ -188,7 +187,8 @@ def _state_row(game: Game, world: World) -> dict[str, Tensor]:
     }
 
 
-def _decision_row(motion: Motion, paid: Tensor, is_running: Tensor) -> dict[str, Tensor]:
+def _decision_row(motion: Motion, events: Events, reward_config: RewardConfig, is_running: Tensor) -> dict[str, Tensor]:
+    paid = reward(reward_config, events.is_collision, events.is_success)
     return {
         "horizon_s": torch.where(is_running[:, None], motion.horizon, torch.nan),
         "is_full_braking": motion.is_full_braking & is_running[:, None],

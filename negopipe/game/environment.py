@@ -95,11 +95,10 @@ class NegotiationEnv:
         final = reached[is_terminated | is_truncated]
         self._start_again(moved, reached, which)
         is_success = events.is_success[:, None].expand_as(has_crashed)
-        speed = moved.vehicles.speed[:, : self._n_seats]
         return Transition(
             observation=self._observation,
             final_observation=final,
-            reward=reward(self.reward_config, has_crashed.T.flatten(), is_success.T.flatten(), speed.T.flatten()),
+            reward=reward(self.reward_config, has_crashed.T.flatten(), is_success.T.flatten()),
             is_terminated=is_terminated,
             is_truncated=is_truncated,
             is_success=events.is_success,

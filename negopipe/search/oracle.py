@@ -24,7 +24,7 @@ from negopipe.game.game import Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, PositiveInt, schema
 from negopipe.simulation.scenario import ScenarioConfig
-from negopipe.simulation.state import EGO, Task, World
+from negopipe.simulation.state import Task, World
 from negopipe.tensors.tree import map_tensors, tree_where
 
 SHIFT_CHANCE = 0.3
@@ -119,8 +119,7 @@ class Rollouts:
         world, rows = self.game.simulator.reset(tasks), torch.arange(len(tasks), device=actions.device)
         while len(rows) > 0:
             world, events = self.game.drive(world, self.game.choose(world, self._horizons[actions[rows, world.step]]))
-            speed = world.vehicles.speed[:, EGO]
-            paid[rows] += reward(self.reward_config, events.is_collision, events.is_success, speed).double()
+            paid[rows] += reward(self.reward_config, events.is_collision, events.is_success).double()
             n_steps[rows] = world.step
             is_over = events.is_terminated | events.is_truncated
             early = torch.where(events.is_success, self._step_left(world), 0.0)

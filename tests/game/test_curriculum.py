@@ -58,6 +58,6 @@ def test_goes_on_where_it_stopped() -> None:
 
 
 def test_a_stage_may_pay_otherwise() -> None:
-    usual, dear = RewardConfig(-0.25, -5.0, 10.0, 0.0), RewardConfig(-0.25, -50.0, 10.0, 0.0)
+    usual, dear = RewardConfig(-0.25, -5.0, 10.0), RewardConfig(-0.25, -50.0, 10.0)
     config = CurriculumConfig(STAGES, None, STARTS, {"a": dear}, None, None, 0.0)
     assert [config.reward(stage, usual) for stage in STAGES] == [dear, usual, usual]

@@ -31,16 +31,10 @@ def assert_same(a: object, b: object) -> None:
     ("is_collision", "is_success", "paid"), [(False, False, -0.25), (True, False, -5.25), (False, True, 9.75)]
 )
 def test_eq_3_by_hand(config: RunConfig, is_collision: bool, is_success: bool, paid: float) -> None:
-    events = torch.tensor([is_collision]), torch.tensor([is_success])
-    assert float(reward(config.reward, *events, torch.tensor([-1.0]))) == paid
-    strict = reward(RewardConfig(-0.25, -50.0, 10.0, 0.0), *events, torch.tensor([1.0]))
+    got = reward(config.reward, torch.tensor([is_collision]), torch.tensor([is_success]))
+    assert float(got) == paid
+    strict = reward(RewardConfig(-0.25, -50.0, 10.0), torch.tensor([is_collision]), torch.tensor([is_success]))
     assert float(strict) == (paid - 45 if is_collision else paid)
-
-
-def test_driving_backwards_costs() -> None:
-    never, speed = torch.zeros(3, dtype=torch.bool), torch.tensor([2.0, 0.0, -2.0])
-    paid = reward(RewardConfig(-0.25, -50.0, 10.0, -0.5), never, never, speed)
-    assert paid.tolist() == [-0.25, -0.25, -0.75]
 
 
 def test_blind_pushing_collides_and_starts_again(config: RunConfig, game: Game) -> None:

@@ -185,7 +185,7 @@ def test_the_tasks_are_the_first_of_the_evaluation(config: RunConfig, game: Game
         ),
         ("oracle.n_episodes=501", "oracle.n_episodes must be at most evaluation.n_episodes = 500, got 501"),
         ("oracle.rounds=0", "oracle.rounds must be greater than or equal to 1, got 0"),
-        ("evaluation.reward.step=0.1", "evaluation.reward must have step <= 0, collision <= 0, success >= 0"),
+        ("evaluation.reward.step=0.1", "evaluation.reward must have step <= 0, collision <= 0 and success >= 0"),
     ],
 )
 def test_a_wrong_oracle_is_named(override: str, line: str) -> None:
