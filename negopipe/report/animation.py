@@ -78,9 +78,7 @@ def animate(
     palette = _palette([frames[0], frames[n_frames // 2], frames[-1]], _horizons(traces, episode))
     flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     durations_ms = [round(1000 * frame_s)] * (n_frames - 1) + [round(1000 * HOLD_S)]
-    buffer = BytesIO()
-    flat[0].save(buffer, "GIF", save_all=True, append_images=flat[1:], duration=durations_ms, loop=0)
-    return buffer.getvalue()
+    return _gif(flat, durations_ms)
 
 
 @styled
@@ -100,9 +98,15 @@ def still(
 
 def slides(pngs: Sequence[bytes], seconds: float) -> bytes:
     """Pictures one after the other as a GIF, each shown for `seconds`."""
-    first, *rest = (Image.open(BytesIO(png)).convert("RGB").quantize(SLIDE_COLORS) for png in pngs)
+    pictures = [Image.open(BytesIO(png)).convert("RGB").quantize(SLIDE_COLORS) for png in pngs]
+    return _gif(pictures, [round(1000 * seconds)] * len(pictures))
+
+
+def _gif(frames: Sequence[Image.Image], durations_ms: Sequence[int]) -> bytes:
+    """Frames with palettes as a GIF that repeats, not interlaced, as `player.js` reads it."""
     buffer = BytesIO()
-    first.save(buffer, "gif", save_all=True, append_images=rest, duration=round(seconds * 1e3), loop=0)
+    options: Any = {"save_all": True, "append_images": frames[1:], "duration": list(durations_ms), "loop": 0}
+    frames[0].save(buffer, "GIF", interlace=0, **options)
     return buffer.getvalue()
 
 

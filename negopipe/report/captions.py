@@ -102,9 +102,9 @@ CAPTIONS = {
 
 WATCH = (
     "Animations in real time. The successes of the adaptive planner in a setting are ranked by return (all episodes "
-    "if there is no success). The median one is shown side by side with other planners on the same task. Evenly "
-    "spaced ranks and the episode of the lowest return are shown alone. Any other episode is animated by "
-    "stages=[replay] episode=<setting>/<planner>/<number>."
+    "if there is no success). The median one is shown side by side with other planners on the same task; that of the "
+    "first setting opens the page. Evenly spaced ranks and the episode of the lowest return are shown alone. Any other "
+    "episode is animated by stages=[replay] episode=<setting>/<planner>/<number>."
 )
 NOT_TRAINED = "The policy was not trained in this run, so there is no history.csv. The config names its checkpoint."
 

@@ -77,6 +77,11 @@ OF_SEVERAL: Mapping[Verdict, str] = {
 """Verdict -> its form after a number of claims."""
 
 
+OPENING_S = 5
+"""Time within which the animation at the top tells what happened, at twice its speed at most, s."""
+N_BESIDE = 3
+"""Headlines beside the animation at the top: as many as are about as high as it; further ones stand below."""
+
 LONG_WORDS = ("suspen-sions", "suspen-sion", "deceler-ation", "avoid-able", "colli-sions", "dead-lock")
 """Words in labels of columns, with a hyphen where a narrow column may break them."""
 
@@ -123,11 +128,13 @@ def build_page(
     claims: Sequence[Claim],
     sections: Sequence[Section],
     provenance: Provenance,
+    opening: FigureItem | None = None,
 ) -> str:
     """The HTML text of a report.
 
     verdicts: headlines, each with its numbers
     claims: the paper's claims; an empty sequence leaves the part out
+    opening: animation above the verdicts
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
@@ -145,6 +152,9 @@ def build_page(
         tally=_tally(claims),
         sections=sections,
         provenance=provenance,
+        opening=opening,
+        fastest_s=OPENING_S,
+        n_beside=N_BESIDE,
     )
 
 

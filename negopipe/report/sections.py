@@ -30,7 +30,7 @@ from matplotlib.figure import Figure
 from negopipe.evaluation.behaviour_map import BEHAVIOUR_MAP, NEEDED, trends
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.report import animation, figures, outcome_figures
-from negopipe.report.captions import NOT_TRAINED, WATCH, caption
+from negopipe.report.captions import NOT_TRAINED, caption
 from negopipe.report.labels import horizon_label, planner_label, setting_label
 from negopipe.report.map_figure import behaviour_map as map_figure
 from negopipe.report.map_figure import reading as map_reading
@@ -127,15 +127,18 @@ def _typical_of_all(group: list[Trace]) -> int:
     return animation.choose_episodes(adaptive_of(group).first(min(len(trace.n_steps) for trace in group)), 1)[0]
 
 
-def films_section(
+def film_items(
     report: ReportConfig,
     writer: FigureWriter,
     traces: dict[str, list[Trace]],
     scene_of: SceneOf,
     policy_traces: Mapping[str, Mapping[int, PolicyTrace]],
     fixed_s: FixedHorizons,
-) -> Section:
-    """policy_traces: setting -> episode -> inputs and outputs of the policy, of the episodes that are shown alone."""
+) -> list[FigureItem]:
+    """Animations of the settings in their order: side by side with other planners first, then the policy alone.
+
+    policy_traces: setting -> episode -> inputs and outputs of the policy, of the episodes that are shown alone
+    """
     items = []
     for setting, group in traces.items():
         adaptive = adaptive_of(group)
@@ -148,7 +151,7 @@ def films_section(
             items.append(
                 _film(writer, name, [adaptive], episode, scene_of, report.animation_fps, fixed_s, policy_trace)
             )
-    return Section("Animations", WATCH, items)
+    return items
 
 
 def filmed_alone(report: ReportConfig, adaptive: Trace) -> dict[str, int]:

@@ -22,6 +22,7 @@ from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
 from negopipe.game.game import Game
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.report.description import log_summary
+from negopipe.report.model_card import write_model_card
 from negopipe.runtime.build import build, load_weights
 from negopipe.runtime.progress import ProgressLine
 from negopipe.runtime.workers import n_processes, side_by_side
@@ -67,6 +68,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     tracked.log_artifact(tracked.folder / EPISODES_NAME)
     tracked.log_metrics(charts(summary), step=0)
     log_summary(config, tracked, results)
+    write_model_card(config, tracked, results["evaluation"])
     for line in (*terminal_table(summary), *intervention_lines(table)):
         log.info(line)
 

@@ -12,16 +12,17 @@ from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.replay import PolicyTrace, record_policy
 from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
+from negopipe.report.captions import WATCH
 from negopipe.report.headlines import headlines
-from negopipe.report.page import Results, build_page, chapters, settings_in_order
+from negopipe.report.page import Results, Section, build_page, chapters, settings_in_order
 from negopipe.report.provenance import provenance, write_claims
 from negopipe.report.run_files import RESULTS, adaptive_of, by_setting, in_order, pick, read_metrics
 from negopipe.report.scene import scene_of
 from negopipe.report.sections import (
     FigureWriter,
     behaviour_section,
+    film_items,
     filmed_alone,
-    films_section,
     negotiations_section,
     planners_section,
     streets_sections,
@@ -66,17 +67,18 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     road = build_road(config.scenario)
     policy_traces = record_policies(config, tracked, traces)
     log.info("report: figures")
+    opening, *others = film_items(
+        config.report,
+        films,
+        traces,
+        lambda street: scene_of(road, street, config.planner.horizon_s),
+        policy_traces,
+        fixed_s,
+    ) or [None]
     sections = [
         planners_section(drawings, table, unseen_distances(config), fixed_s),
         negotiations_section(drawings, traces, fixed_s),
-        films_section(
-            config.report,
-            films,
-            traces,
-            lambda street: scene_of(road, street, config.planner.horizon_s),
-            policy_traces,
-            fixed_s,
-        ),
+        *([Section("Animations", WATCH, others)] if others else []),
         behaviour_section(drawings, traces, tracked.folder / MAP_NAME, fixed_s),
         *streets_sections(drawings, config.scenario, road, config.report.n_streets),
         training_section(
@@ -86,7 +88,8 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     verdicts = headlines(results.evaluation, results.versus, fixed_s)
     title = f"{config.name}, seed {config.seed}"
     tested = claims if any(claim.verdict != "not tested" for claim in claims) else []
-    page = build_page(title, verdicts, chapters(results, fixed_s), tested, sections, provenance(config.seed, tracked))
+    origin = provenance(config.seed, tracked)
+    page = build_page(title, verdicts, chapters(results, fixed_s), tested, sections, origin, opening)
     (tracked.folder / "report.html").write_text(page, encoding="utf-8")
     for writer in (drawings, films):
         if any(writer.folder.iterdir()):

@@ -55,7 +55,8 @@ def make_page(name: str = "yield", results: Results = RESULTS) -> str:
     sections = [Section("First part", "What it shows.", items), Section("Second part", "", [])]
     provenance = Provenance("python -m negopipe +experiment=yield", "7", "seed: 7\n", {"torch": "2.13.0"})
     verdicts = headlines(results.evaluation, results.versus, FIXED_S)
-    return build_page(name, verdicts, chapters(results, FIXED_S), [CLAIM], sections, provenance)
+    opening = FigureItem("The opening", "Up is up.", PNG, PNG)
+    return build_page(name, verdicts, chapters(results, FIXED_S), [CLAIM], sections, provenance, opening)
 
 
 def test_the_page_holds_all_parts() -> None:
@@ -63,7 +64,20 @@ def test_the_page_holds_all_parts() -> None:
     for text in ("First part", "Second part", "What it shows.", "A figure", "A film", "seed: 7", "2.13.0"):
         assert text in page
     assert "python -m negopipe +experiment=yield" in page
-    assert page.count("<figcaption>") == 2
+    assert page.count("<figcaption>") == 3
+
+
+def test_the_page_opens_with_the_film_and_goes_on_with_the_verdict() -> None:
+    page = make_page()
+    assert page.index("The opening") < page.index('<p class="verdict">') < page.index("<nav")
+    assert page.count("data-fastest") == 1  # in the page's markup: only the opening may run faster
+
+
+def test_a_page_without_a_film_opens_with_the_verdict() -> None:
+    verdicts = [("Yield: so it is.", "As here.")]
+    page = build_page("push", verdicts, [], [], [], Provenance("command", "1", "", {}))
+    assert "<figure" not in page
+    assert "Yield: so it is." in page
 
 
 def test_the_leading_setting_comes_first() -> None:
@@ -91,19 +105,20 @@ def test_page_is_one_file() -> None:
     links = re.findall(r'(?:src|srcset|href)="([^"]*)"', page)
     assert links
     assert all(link.startswith(("data:image/", "#")) for link in links)
-    assert not re.findall(r"https?:|url\(|@import|<script|<link", page)
-    assert sum(link.startswith("data:") for link in links) == 3  # figure, film, and the film's still
+    assert not re.findall(r"https?:|url\(|@import|<script .*src|<link", page)
+    assert page.count("<script>") == 1
+    assert sum(link.startswith("data:") for link in links) == 5  # a figure, and two films with their stills
     assert {link[1:] for link in links if link[0] == "#"} <= set(re.findall(r'id="([^"]*)"', page))
 
 
 def test_every_image_says_in_words_what_it_shows() -> None:
     for tag in re.findall(r"<img [^>]*>", make_page()):
-        assert re.search(r'alt="A (figure|film)\. [^"]+"', tag)
+        assert re.search(r'alt="(A figure|A film|The opening)\. [^"]+"', tag)
 
 
 def test_text_is_escaped() -> None:
     page = make_page(name="<script>alert(1)</script>")
-    assert "<script>" not in page
+    assert "<script>alert" not in page
     assert "Upwards is &lt;good&gt;." in page
 
 

@@ -107,6 +107,8 @@ def test_the_report_is_written_and_logged(
     assert images.count("data:image/svg+xml") == 9
     # per setting: typical, lowest return and side by side; and the outcomes during training
     assert images.count("data:image/gif") == 7
+    opening = page[: page.index('<p class="verdict">')]
+    assert re.findall(r"<h3>(.+?)</h3>", opening) == ["Push, episode 2: adaptive, fixed 0\xa0s, fixed 6\xa0s"]
     assert run.artifacts == [
         ("claims.json", ""),
         ("figures", "figures"),
