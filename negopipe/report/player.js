@@ -127,7 +127,7 @@
       this.slider = bar.appendChild(document.createElement("input"));
       Object.assign(this.slider, {type: "range", min: 0, max: this.last, step: 1});
       this.slider.setAttribute("aria-label", "Frame");
-      const forth = addButton(bar, "One frame forth", "forth"), speed = addButton(bar);
+      const forth = addButton(bar, "One frame forward", "forth"), speed = addButton(bar);
       speed.title = "Speed";
       const tell = () => { speed.textContent = `${this.speed === 0.5 ? "½" : this.speed}×`; };
       tell();
