@@ -86,7 +86,7 @@ def stage_key(config: RunConfig, stage: str) -> str:
         relevant["teacher"] = _digest(teacher.read_bytes())
     if config.encounter is not None and stage == "replay":
         path = Path(config.encounter)
-        relevant["encounter"] = _digest(path.read_bytes()) if path.is_file() else None
+        relevant["encounter"] = [config.encounter, _digest(path.read_bytes()) if path.is_file() else None]
     if config.evaluation.oracle is not None and stage in NEED_THE_ORACLE:
         path = find_oracle(config.evaluation.oracle)
         relevant["oracle.csv"] = _digest(path.read_bytes()) if path.is_file() else None
