@@ -5,7 +5,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,13 +31,19 @@ def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield started
 
 
+@contextmanager
+def serving(port: int, outputs: Path) -> Iterator[Server]:
+    given = [*SHORT, f"outputs='{outputs}'"]
+    with Server(Service(compose_config(given), given), port) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield server
+        server.shutdown()
+
+
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[Server]:
-    given = [*SHORT, f"outputs='{tmp_path}'"]
-    with Server(Service(compose_config(given), given), 0) as serving:
-        threading.Thread(target=serving.serve_forever, daemon=True).start()
-        yield serving
-        serving.shutdown()
+    with serving(0, tmp_path) as server:
+        yield server
 
 
 def choose(tab: Tab, opponent: str, street: str, control: str = "pedals") -> None:
@@ -158,9 +163,8 @@ def test_a_server_that_is_started_anew_is_found_again(window: Browser, tmp_path:
         start(tab)
         tab.wait("negopipe.game.frames.length > 3")
     tab.wait("!document.querySelector('#trouble').hidden")
-    with command(port, tmp_path):
+    with serving(port, tmp_path):
         tab.wait("document.querySelector('#headline').textContent === 'The encounter is lost'")
         assert tab.run("document.querySelector('#trouble').hidden")
         tab.run("document.querySelector('#start').click()")
         tab.wait(f"{PHASE} === 'drive'")
-        time.sleep(0.3)

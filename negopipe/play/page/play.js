@@ -42,7 +42,10 @@ async function insist(path, body) {
       trouble(null);
       return told;
     } catch (error) {
-      if (error instanceof ServerError) throw error;
+      if (error instanceof ServerError) {
+        trouble(null);
+        throw error;
+      }
       trouble("The server does not answer. Is `make play` still running? Trying again …");
       await new Promise(done => setTimeout(done, RETRY_MS));
     }
