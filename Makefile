@@ -18,7 +18,7 @@ DOCS := build/docs
 ARGS ?=
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/requirements.lock
 
-.PHONY: help setup yield push unseen smoke compare test test-slow test-sweeps lint lock ui docs docs-serve
+.PHONY: help setup yield push play unseen smoke compare test test-slow test-sweeps lint lock ui docs docs-serve
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -35,6 +35,9 @@ yield: $(READY)  ## train, evaluate and report on the yield task
 
 push: $(READY)  ## the same on the push task
 	$(BIN)/python -m negopipe +experiment=push $(ARGS)
+
+play: $(READY)  ## drive against the policies yourself: a page on this machine
+	@$(BIN)/python -m negopipe.play 'outputs=$(OUTPUTS)' $(ARGS)
 
 unseen: $(READY)  ## put the generalist, or the policy of CHECKPOINT, to tasks that no training contains
 	$(BIN)/python -m negopipe +experiment=unseen 'checkpoint=$(CHECKPOINT)' 'outputs=$(OUTPUTS)/unseen-v1' $(ARGS)

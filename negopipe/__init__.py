@@ -30,6 +30,7 @@ The map, lowest first: a package imports only what stands above it here, and its
     stages        train, evaluate, report, replay, behaviour_map, cross_play, oracle, streets, benchmark, export:
                   functions of config, run
     envs          doors for other people's code: gymnasium, PettingZoo, Stable-Baselines3
+    play          a page on which a person drives against an opponent: server, encounters, page
     __main__      the command line
 
 One decision (E worlds, V vehicles)

@@ -36,6 +36,8 @@ exec {sys.executable} "$@"
 
 NOT_RUN = {
     "make ui": "a server",
+    "make play": "a server",
+    "python -m negopipe.play play.port=8080 play.participant=p07": "a server",
     "make test": "the tests themselves",
     "make docs-serve": "a server",
     "bash jobs/tracking_server.sh": "a server, used by the commands after it",

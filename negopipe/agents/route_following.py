@@ -65,8 +65,13 @@ def follow_route(
     simulator: Simulator, config: RouteFollowingConfig, perception: Perception, now: RouteState, hindrance: Hindrance
 ) -> Motion:
     """Motion of S agents on their routes in the next control step."""
+    return along_route(simulator, perception, now, idm(config, now.s_dot, perception.desired_speed, hindrance))
+
+
+def along_route(simulator: Simulator, perception: Perception, now: RouteState, accel: Tensor) -> Motion:
+    """Motion of S agents on their routes in the next control step with accelerations [E, S] (m/s2), never backwards."""
     road, dt_s = simulator.road, simulator.scenario.dt_s
-    speed = now.s_dot + dt_s * idm(config, now.s_dot, perception.desired_speed, hindrance)
+    speed = now.s_dot + dt_s * accel
     speed = speed.clamp(min=0)
     s = now.s + (now.s_dot + speed) / 2 * dt_s
     route = RouteState(s, speed, (speed - now.s_dot) / dt_s, *road.route_offset(s, perception.direction))

@@ -26,6 +26,7 @@ from negopipe.game.reward import RewardConfig
 from negopipe.learning.learner import AlgorithmConfig
 from negopipe.observation.kinds import ObservationConfig
 from negopipe.planner.config import PlannerConfig
+from negopipe.play.options import PlayConfig
 from negopipe.policy.kinds import PolicyConfig, check_policy, layers_of
 from negopipe.report.page import ReportConfig
 from negopipe.safety.config import SafetyConfig
@@ -49,7 +50,8 @@ WITHOUT_POLICY = {"behaviour_map", "oracle", "streets", "benchmark"}
 """Stages that drive without the run's policy."""
 
 RESULT_NEUTRAL = {
-    "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "tracking",
+    "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "encounter",
+    "play", "tracking",
 }  # fmt: skip
 """Keys that `run_name` leaves out of its hash: the place of a run, the part of it that runs now, the display of its
 results. `n_threads` is among them because threads change rounding at most. `device` and `compile` are not: they draw
@@ -67,6 +69,7 @@ class RunConfig:
     objective: Annotated[tuple[str, ...], Field(min_length=1)]
     checkpoint: PathText | None
     episode: EpisodeText | None
+    encounter: PathText | None
     rerun: bool
     reuse: Literal["same_code", "any_code"]
     device: Literal["auto", "cpu", "cuda"]
@@ -91,6 +94,7 @@ class RunConfig:
     tracking: TrackingConfig
     benchmark: BenchmarkConfig
     export: ExportConfig
+    play: PlayConfig
 
     @property
     def evaluated_families(self) -> Families:
@@ -171,8 +175,10 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
     yield from config.curriculum.check(dt_s, foresight)
     yield from evaluation.check(scenario, foresight)
     driven = set(evaluation.settings)
-    if "replay" in stages and config.episode is None:
+    if "replay" in stages and config.episode is None and config.encounter is None:
         yield Problem("episode", "be <setting>/<planner>/<number> for the stage replay", None)
+    if config.episode is not None and config.encounter is not None:
+        yield Problem("encounter", "be null where episode names what is replayed", config.encounter)
     if "report" in stages:
         yield from config.report.check(evaluation.baselines)
     if "behaviour_map" in stages:

@@ -1,6 +1,6 @@
 """Evaluation episodes: driving them to the end and recording them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Literal
 
 import numpy as np
@@ -66,6 +66,10 @@ class EvaluationConfig:
         return {name: horizon_s for name, horizon_s in fixed.items() if horizon_s is not None}
 
 
+Seats = Mapping[int, Driver]
+"""Drivers by the vehicles that they drive; the population drives the others, and the ego as its task says."""
+
+
 def by_cast(episode_key: Tensor) -> None:
     """No driver beside the population's: one of these drives the ego, as its task says."""
 
@@ -92,31 +96,39 @@ def drive_episodes(
     batches = [
         map_tensors(lambda field, i=first: field[i : i + n_worlds], tasks) for first in range(0, len(tasks), n_worlds)
     ]
-    parts = [_record(game, make_ego(batch.noise_seed), batch, reward_config, is_lockstep) for batch in batches]
+    parts = [_record(game, _seats(make_ego(batch.noise_seed)), batch, reward_config, is_lockstep) for batch in batches]
     joined = {name: np.concatenate([part[name] for part in parts], axis=EPISODE_AXIS[name]) for name in parts[0]}
     return Trace(planner=names[0], setting=names[1], dt_s=game.simulator.scenario.dt_s, **joined)
+
+
+def drive_seats(game: Game, seats: Seats, tasks: Task, reward_config: RewardConfig, names: tuple[str, str]) -> Trace:
+    """Drive all `tasks` at once and in lockstep with drivers in some seats; the rest is as for `drive_episodes`."""
+    record = _record(game, seats, tasks, reward_config, is_lockstep=True)
+    return Trace(planner=names[0], setting=names[1], dt_s=game.simulator.scenario.dt_s, **record)
 
 
 def warm_up(game: Game, make_ego: MakeDriver | Callable[[Tensor], None], tasks: Task) -> None:
     """Make a first decision of all drivers in `tasks`, which compiles everything that driving needs."""
     world = game.simulator.reset(tasks)
-    world, motion, _ = _motion(game, make_ego(tasks.noise_seed), world)
+    world, motion, _ = motion_of(game, _seats(make_ego(tasks.noise_seed)), world)
     game.step(world, motion)
 
 
-def _motion(game: Game, ego: Driver | None, world: World) -> tuple[World, Motion, Tensor]:
-    """Motion of all vehicles [E, V], as far as the safety layer lets it: see `Game.guard`.
+def _seats(ego: Driver | None) -> Seats:
+    return {} if ego is None else {EGO: ego}
 
-    ego: its driver; None = the one that its task names
-    """
+
+def motion_of(game: Game, seats: Seats, world: World) -> tuple[World, Motion, Tensor]:
+    """Motion of all vehicles [E, V], as far as the safety layer lets it: see `Game.guard`."""
     horizons = game.choose(world, torch.full_like(world.step, torch.nan, dtype=torch.float32))
     cast = [HorizonDriver(given_horizon(column), game.plan) for column in horizons.split(1, dim=1)]
     perception = game.perceive(world)
-    return game.guard(world, perception, drive_together([ego or cast[EGO], *cast[EGO + 1 :]], perception))
+    drivers = [seats.get(vehicle, driver) for vehicle, driver in enumerate(cast)]
+    return game.guard(world, perception, drive_together(drivers, perception))
 
 
 def _record(
-    game: Game, ego: Driver | None, tasks: Task, reward_config: RewardConfig, is_lockstep: bool
+    game: Game, seats: Seats, tasks: Task, reward_config: RewardConfig, is_lockstep: bool
 ) -> dict[str, np.ndarray]:
     """Fields of `Trace`."""
     world = game.simulator.reset(tasks)
@@ -126,7 +138,7 @@ def _record(
     is_success = is_collision = ~is_running
     for _ in range(game.simulator.scenario.episode_steps):
         which = everyone if is_lockstep else is_running.nonzero()[:, 0]
-        world, events, decision = _decide(game, ego, world, which, is_running[which], reward_config)
+        world, events, decision = _decide(game, seats, world, which, is_running[which], reward_config)
         states.append(_state_row(game, world))
         decisions.append({name: _scatter(field, which, len(tasks)) for name, field in decision.items()})
         ended = map_tensors(lambda field, at=which: _scatter(field, at, len(tasks)), events)
@@ -154,14 +166,14 @@ def _record(
 
 
 def _decide(
-    game: Game, ego: Driver | None, world: World, which: Tensor, is_running: Tensor, reward_config: RewardConfig
+    game: Game, seats: Seats, world: World, which: Tensor, is_running: Tensor, reward_config: RewardConfig
 ) -> tuple[World, Events, dict[str, Tensor]]:
     """One decision in the worlds `which` [R]; those that are not running [R] stay unchanged.
 
     Returns all worlds, and the events and the row of the decision of those R.
     """
     before = map_tensors(lambda field: field.index_select(0, which), world)
-    before, motion, intervention = _motion(game, ego, before)
+    before, motion, intervention = motion_of(game, seats, before)
     moved, events = game.step(before, motion)
     moved = tree_where(is_running, moved, before)
     world = map_tensors(lambda field, new: field.index_copy(0, which, new), world, moved)

@@ -29,7 +29,7 @@ DEPENDS_ON = {
     "train": _TRAINING,
     "evaluate": (*_TRAINING, "evaluation"),
     "report": (*_TRAINING, "evaluation", "report"),
-    "replay": (*_TRAINING, "evaluation", "report", "episode"),
+    "replay": (*_TRAINING, "evaluation", "report", "episode", "encounter"),
     "behaviour_map": (*_GAME, "evaluation", "behaviour_map", "report"),
     "cross_play": (*_TRAINING, "evaluation", "cross_play", "report"),
     "oracle": (*_GAME, "evaluation", "oracle"),
@@ -84,6 +84,9 @@ def stage_key(config: RunConfig, stage: str) -> str:
     if config.curriculum.teacher is not None and "curriculum" in DEPENDS_ON[stage]:
         teacher = find_checkpoint(config.curriculum.teacher.checkpoint, config)
         relevant["teacher"] = _digest(teacher.read_bytes())
+    if config.encounter is not None and stage == "replay":
+        path = Path(config.encounter)
+        relevant["encounter"] = [config.encounter, _digest(path.read_bytes()) if path.is_file() else None]
     if config.evaluation.oracle is not None and stage in NEED_THE_ORACLE:
         path = find_oracle(config.evaluation.oracle)
         relevant["oracle.csv"] = _digest(path.read_bytes()) if path.is_file() else None

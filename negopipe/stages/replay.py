@@ -1,25 +1,30 @@
-"""The replay stage: one evaluated episode, reproduced bit for bit, as an animation with the policy's decisions."""
+"""The replay stage: one evaluated episode, or a person's encounter, reproduced bit for bit, as an animation."""
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
+from omegaconf import OmegaConf
 
+from negopipe.config.root import load
 from negopipe.errors import UserError
+from negopipe.evaluation.encounter import difference, drive_again, read_encounter
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.recorded_drive import commonroad_scenario
 from negopipe.evaluation.replay import PolicyTrace, record_policy, replay
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
-from negopipe.game.game import Game
+from negopipe.game.game import Game, build_game
 from negopipe.report import animation
 from negopipe.report.scene import scene_of
-from negopipe.runtime.build import build, load_weights
+from negopipe.runtime.build import build, load_weights, with_learned
 from negopipe.simulation.state import Task
 from negopipe.stages.evaluate import checkpoint_of, drive_baseline, measure
+from negopipe.tensors.torch_settings import own_settings
 from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import csv_text, parse_csv, read_csv
 from negopipe.tracking.whole_file import write_whole
@@ -45,10 +50,16 @@ class EpisodeId(NamedTuple):
 
 
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
-    """Drive `episode` again; writes replays/<setting>_<planner>_<number>.gif, a still, .png, and the drive, .xml.
+    """Drive `episode` or `encounter` again; writes replays/<name>.gif, a still, .png, and the drive, .xml.
 
-    Raises UserError if it was not evaluated in this run, or if its replay differs from the evaluation.
+    The name is <setting>_<planner>_<number> of an episode and that of the file of an encounter. Raises UserError if the
+    episode was not evaluated in this run, or if a replay differs from what was driven then.
     """
+    if config.encounter is not None:
+        path = Path(config.encounter)
+        own, game, trace = _encounter_again(config, path)
+        _show(own, game, path.stem, trace, None, tracked)
+        return
     which, row = find_episode(config, tracked.folder)
     game, policy = build(config)
     load_weights(checkpoint_of(config, tracked), policy, config)
@@ -57,9 +68,20 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     trace = _drive(config, game, tasks, which, row)
     _check_same(config, tracked.folder, which, row, trace)
     policy_trace = _policy_trace(config, game, policy, tasks, row) if which.planner == ADAPTIVE else None
+    _show(config, game, "_".join(map(str, which)), trace, policy_trace, tracked)
+
+
+def _show(
+    config: "RunConfig",
+    game: Game,
+    name: str,
+    trace: Trace,
+    policy_trace: PolicyTrace | None,
+    tracked: "TrackedRun",
+) -> None:
+    """Write the files of a drive into the run folder."""
     folder = tracked.folder / FOLDER
     folder.mkdir(exist_ok=True)
-    name = "_".join(map(str, which))
     scene = scene_of(game.simulator.road, int(trace.street[0]), config.planner.horizon_s)
     fixed_s = config.evaluation.fixed_horizons_s
     files = {
@@ -72,6 +94,20 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
         write_whole(path, data)
         tracked.log_artifact(path, FOLDER)
         log.info("replay     %s", path)
+
+
+@own_settings()
+def _encounter_again(config: "RunConfig", path: Path) -> "tuple[RunConfig, Game, Trace]":
+    """The encounter of a file, driven again under its own config; UserError where a bit of the drive is another."""
+    encounter = read_encounter(path)
+    own = replace(load(OmegaConf.create(dict(encounter.config))), report=config.report)
+    game = with_learned(build_game(own), own, None)
+    trace = drive_again(own, game, encounter)
+    if name := difference(encounter.drive, trace):
+        made_by = ", ".join(f"{key} {value}" for key, value in encounter.made_by.items())
+        raise UserError(f"encounter {path} must be as driven, got another {name} (made by {made_by})")
+    log.info(f"replay     {path.name}: as driven, to the last bit")
+    return own, game, trace
 
 
 def find_episode(config: "RunConfig", folder: Path) -> tuple[EpisodeId, pd.Series]:

@@ -67,14 +67,15 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     road = build_road(config.scenario)
     policy_traces = record_policies(config, tracked, traces)
     log.info("report: figures")
-    opening, *others = film_items(
+    items = film_items(
         config.report,
         films,
         traces,
         lambda street: scene_of(road, street, config.planner.horizon_s),
         policy_traces,
         fixed_s,
-    ) or [None]
+    )
+    opening, others = (items[0], items[1:]) if items else (None, [])
     sections = [
         planners_section(drawings, table, unseen_distances(config), fixed_s),
         negotiations_section(drawings, traces, fixed_s),
