@@ -19,15 +19,19 @@ from negopipe.observation.street_ahead import KNOT_M as AHEAD_KNOT_M
 from negopipe.planner.frenet import FrenetPlanner
 from negopipe.planner.roadside import Half, ParkedRow, Roadside
 from negopipe.policy.actor_critic import Policy, greedy_action
+from negopipe.safety.config import NoSafetyConfig, RssConfig
+from negopipe.safety.layer import SafetyLayer
+from negopipe.safety.stops import N_PATH, StopPaths, braked
 from negopipe.simulation.collisions import CollisionCheck
 from negopipe.simulation.knot_tables import KNOT_M
 from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.sizes import Sizes
-from negopipe.simulation.state import NOBODY, VehicleState
+from negopipe.simulation.state import NOBODY, Motion, VehicleState
 from negopipe.simulation.street import Street
 from negopipe.simulation.street_tables import Polynomials
 from negopipe.simulation.streets import Streets
 from negopipe.simulation.waiting_place import Passage
+from negopipe.tensors.tree import map_tensors
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
@@ -43,11 +47,13 @@ PASSAGE = ("waiting", "leaving", "their_waiting", "their_leaving")
 
 
 class Decided(NamedTuple):
-    """Outputs.
+    """Outputs of one decision.
 
     horizon: [1] s; action: [1] int64; logits: [1, A]
     trajectory: [T, 6], x, y, yaw, speed, accel, curvature at the times of the plan
     is_full_braking: [1] bool, no candidate was feasible
+    intervention: [1] int64, of the safety layer, index into `safety.layer.INTERVENTIONS`; keep: [1, N_KEPT], `kept` of
+        the next decision. Without a layer the two are no outputs
     """
 
     horizon: Tensor
@@ -55,6 +61,8 @@ class Decided(NamedTuple):
     logits: Tensor
     trajectory: Tensor
     is_full_braking: Tensor
+    intervention: Tensor
+    keep: Tensor
 
 
 @dataclass(frozen=True)
@@ -170,6 +178,7 @@ class Decision(nn.Module):
         if reversing is not None:
             reversing._roadside = self._broadcast(reversing._roadside)
         self.observation = self._observation(config)
+        self.guard = None if isinstance(config.safety, NoSafetyConfig) else self._guard(config.safety)
         self.horizons: Tensor
         self.register_buffer("horizons", torch.tensor(config.policy.horizons_s))
 
@@ -180,10 +189,17 @@ class Decision(nn.Module):
         kind, dt_s = config.observation, self._dt_s
         if not isinstance(kind, ObjectsConfig):
             return PlainGrid(kind, self.road, self.sizes, dt_s)
-        passage = Passage.of(CollisionCheck(self.road, dt_s, other_columns(2)), self.sizes)
-        objects = Objects(kind, passage, dt_s)
+        objects = Objects(kind, self._passage(), dt_s)
         objects._street._n_knots = n_ahead(config)
         return objects
+
+    def _passage(self) -> Passage:
+        return Passage.of(CollisionCheck(self.road, self._dt_s, other_columns(2)), self.sizes)
+
+    def _guard(self, config: RssConfig) -> SafetyLayer:
+        layer = SafetyLayer(config, self.road, self.sizes, self._dt_s, self._passage())
+        layer.roadside = self._broadcast(layer.roadside)
+        return layer
 
     def forward(
         self,
@@ -194,9 +210,13 @@ class Decision(nn.Module):
         is_seen: Tensor,
         direction: Tensor,
         street: dict[str, Tensor],
-    ) -> Decided:
-        """own: [11], `OWN`; own_history: [K, 3], x, y, yaw; others: [N, 7], `OTHER`; others_history: [K, N, 3];
-        is_seen: [K, N], 1 where seen, index 0 now; direction: [1]; street: tables by name.
+        kept: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        """Fields of `Decided`, as many as `outputs` names.
+
+        own: [11], `OWN`; own_history: [K, 3], x, y, yaw; others: [N, 7], `OTHER`; others_history: [K, N, 3];
+        is_seen: [K, N], 1 where seen, index 0 now; direction: [1]; street: tables by name
+        kept: [1, N_KEPT] of the decision before, NaN in the first one; None without a safety layer
         """
         self._bind(street)
         perception = self._perception(own, own_history, others, others_history, is_seen > 0.5, direction)
@@ -204,18 +224,40 @@ class Decision(nn.Module):
         action = greedy_action(logits)
         horizon = self.horizons[action]
         states, is_full_braking = self.planner.trajectory(perception, horizon[:, None])
-        position, *rest = (field[0, 0] for field in vars(states).values())
-        trajectory = torch.cat([position, torch.stack(rest, -1)], -1)
-        return Decided(horizon, action, logits, trajectory, is_full_braking[0])
+        decided = (horizon, action, logits, _rows(map_tensors(lambda field: field[0, 0], states)), is_full_braking[0])
+        if self.guard is None or kept is None:
+            return decided
+        motion = Motion(map_tensors(lambda field: field[:, :, 0], states), horizon[:, None], is_full_braking)
+        return self._guarded(decided, self.guard, perception, motion, kept)
+
+    def _guarded(
+        self, decided: tuple[Tensor, ...], guard: SafetyLayer, perception: Perception, motion: Motion, kept: Tensor
+    ) -> tuple[Tensor, ...]:
+        """The decision with what the safety layer drives: its step, and then the stop that it has checked."""
+        horizon, action, logits, trajectory, _ = decided
+        checked = guard.guard(perception, motion, kept)
+        step, direction = map_tensors(lambda field: field[:, 0], checked.motion.state), perception.direction[:, 0]
+        paths = StopPaths.unpack(checked.kept[:, :N_PATH])
+        decel = torch.full_like(paths.start_s, guard.config.limits.decel_max_mps2)
+        seconds = self.planner.times[:-1, None]  # after the step
+        stopping = braked(self.road, direction, self.road.to_route(step, direction), paths, decel, seconds)
+        rest = _rows(map_tensors(lambda field: field[:, 0], self.road.to_world(stopping, direction)))
+        stop = torch.cat([_rows(step), rest])
+        trajectory = torch.where(checked.intervention[:, None] > 0, stop, trajectory)
+        is_full_braking = checked.motion.is_full_braking[0]
+        return Decided(horizon, action, logits, trajectory, is_full_braking, checked.intervention, checked.kept)
 
     def _bind(self, street: dict[str, Tensor]) -> None:
         """Take over a street's tables in all parts that hold some."""
         self.road.bind(street)
         planner, observation = self.planner, self.observation
         planner.roadside._rows = street["rows"]
-        parts: list[Any] = [part for part in (planner.give_way, planner.reversing, planner.lingering) if part]
+        holders = (planner.give_way, planner.reversing, planner.lingering, self.guard)
+        parts: list[Any] = [part for part in holders if part]
         if planner.reversing is not None:
             planner.reversing._roadside._rows = street["rows"]
+        if self.guard is not None:
+            self.guard.roadside._rows = street["rows"]
         if isinstance(observation, Objects):
             parts += [observation]
             observation._street._table = street["ahead"]
@@ -252,6 +294,17 @@ class Decision(nn.Module):
         )
 
 
+def _rows(states: VehicleState) -> Tensor:
+    """[T, 6]: x, y, yaw, speed, acceleration, curvature of states [T]."""
+    position, *rest = vars(states).values()
+    return torch.cat([position, torch.stack(rest, -1)], -1)
+
+
+def outputs(config: "RunConfig") -> tuple[str, ...]:
+    """Names of the outputs of the decision of a config."""
+    return Decided._fields[:-2] if isinstance(config.safety, NoSafetyConfig) else Decided._fields
+
+
 def n_ahead(config: "RunConfig") -> int:
     """Knots of the table of the street ahead, for corridors up to the reach of the export."""
     return 2 + int((config.export.capacity.reach_m + 2 * AROUND_M) / AHEAD_KNOT_M)
@@ -266,6 +319,7 @@ def needs(config: "RunConfig") -> list[str]:
         names += ["parked", "off_road"]
     else:
         names += ["target", "ahead", "narrow_places"]
-    if not is_grid or planner.give_way or planner.reversing or planner.cost.lingering:
+    waits = planner.give_way or planner.reversing or planner.cost.lingering
+    if not is_grid or waits or not isinstance(config.safety, NoSafetyConfig):
         names += PASSAGE
     return names
