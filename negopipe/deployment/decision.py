@@ -4,14 +4,13 @@ Axes: K past states (index 0 now), N other road users, T times of the plan, A ac
 `tables.StreetTables`, with the places to wait of `passage.py`. All arguments are float32 but for `n_places` (int64).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
+from negopipe.deployment.graph_road import bound_road
 from negopipe.observation.objects import Objects, ObjectsConfig
 from negopipe.observation.occupancy_grid import WORD_BITS, OccupancyGrid
 from negopipe.observation.street_ahead import AROUND_M
@@ -23,13 +22,9 @@ from negopipe.safety.config import NoSafetyConfig, RssConfig
 from negopipe.safety.layer import SafetyLayer
 from negopipe.safety.stops import N_PATH, StopPaths, braked
 from negopipe.simulation.collisions import CollisionCheck
-from negopipe.simulation.knot_tables import KNOT_M
 from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import NOBODY, Motion, VehicleState
-from negopipe.simulation.street import Street
-from negopipe.simulation.street_tables import Polynomials
-from negopipe.simulation.streets import Streets
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.tree import map_tensors
 
@@ -98,69 +93,9 @@ class BroadcastRoadside(Roadside):
     """A roadside that is checked row by row in one computation: there may be many, and a graph must stay small."""
 
     def _into_rows(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, half: Half) -> Tensor:
-        rows = self.road.pick(self._rows, direction)  # [N, P, 4]
-        fields = (field.T[:, None, None] for field in rows.unbind(-1))  # [P, 1, 1, N]
+        rows = self.road.pick(self._rows, direction)  # [P, 4]
+        fields = (field[:, None, None, None] for field in rows.unbind(-1))  # [P, 1, 1, 1]
         return self._into_row(ParkedRow(*fields), s, direction, d, d_prime, half).amax(0)
-
-
-class GatheredPolynomials(Polynomials):
-    """Polynomials whose coefficients are looked up together: a node of a graph costs more than what it computes."""
-
-    def __init__(self, like: Polynomials) -> None:
-        self._n_intervals, self._first_m, self._table = like._n_intervals, like._first_m, like._table
-
-    def at(self, row: Tensor, sigma: Tensor) -> tuple[tuple[Tensor, ...], Tensor]:
-        interval = torch.floor((sigma - self._first_m) * (1 / KNOT_M)).clamp(0, self._n_intervals - 1)
-        ahead = sigma - (self._first_m + interval * KNOT_M)
-        index = row * self._n_intervals + interval.long()
-        found = self._table.index_select(1, index.flatten()).reshape(-1, *index.shape)
-        return found.unbind(0), ahead
-
-
-class BoundRoad(Streets):
-    """One street whose tables are replaced: neither straight nor of even kerbs, as far as the code can tell."""
-
-    def __init__(self, template: Street) -> None:
-        super().__init__([template])
-        self.is_straight = self._has_even_kerbs = False
-        table = self._lines
-        table._curvature, table._pose = GatheredPolynomials(table._curvature), GatheredPolynomials(table._pose)
-        self._routes, self._kerbs = GatheredPolynomials(self._routes), GatheredPolynomials(self._kerbs)
-        self._nearest_kerbs = GatheredPolynomials(self._nearest_kerbs)
-
-    def bind(self, tables: Mapping[str, Tensor]) -> None:
-        """Take over the tables of `StreetTables`, by name."""
-        for name, table in tables.items():
-            match name:
-                case "line_curvature":
-                    self._lines._curvature._table = table
-                case "line_pose":
-                    self._lines._pose._table = table
-                case "line_points":
-                    self._lines._searched = table[None]
-                case "routes":
-                    self._routes._table = table
-                case "kerbs":
-                    self._kerbs._table = table
-                case "near_kerbs":
-                    self._nearest_kerbs._table = table
-                case "corridor":
-                    self._corridor = table
-                case "target":
-                    self._target = table
-                case "narrow_places" | "n_places" | "parked":
-                    setattr(self, name, table)
-
-
-def bound_road(config: "RunConfig") -> BoundRoad:
-    """A road of the export's capacity; its tables are those of a straight street until it is bound."""
-    capacity = config.export.capacity
-    n, m = capacity.street.n_knots, capacity.n_narrow_places
-    first = np.arange(m) * 2.0 - m + 0.5
-    flat = np.zeros((n, 2))
-    far = np.tile([1e4, 0.0, 0.0, 0.0], (capacity.n_parked, 1))
-    narrow = np.stack([first, first + 1.0], -1)
-    return BoundRoad(Street(flat, np.full((2, n), 10.0), np.zeros((2, n, 3)), far, narrow, 10.0))
 
 
 class Decision(nn.Module):

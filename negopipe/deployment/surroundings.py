@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from negopipe.deployment.decision import PASSAGE, AnySizes, bound_road, n_ahead
+from negopipe.deployment.decision import PASSAGE, AnySizes, n_ahead
+from negopipe.deployment.graph_road import bound_road
 from negopipe.deployment.tables import StreetTables
 from negopipe.observation import street_ahead
 from negopipe.simulation.collisions import CollisionCheck
