@@ -4,14 +4,13 @@ Axes: K past states (index 0 now), N other road users, T times of the plan, A ac
 `tables.StreetTables`, with the places to wait of `passage.py`. All arguments are float32 but for `n_places` (int64).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
+from negopipe.deployment.graph_road import bound_road
 from negopipe.observation.objects import Objects, ObjectsConfig
 from negopipe.observation.occupancy_grid import WORD_BITS, OccupancyGrid
 from negopipe.observation.street_ahead import AROUND_M
@@ -19,15 +18,15 @@ from negopipe.observation.street_ahead import KNOT_M as AHEAD_KNOT_M
 from negopipe.planner.frenet import FrenetPlanner
 from negopipe.planner.roadside import Half, ParkedRow, Roadside
 from negopipe.policy.actor_critic import Policy, greedy_action
+from negopipe.safety.config import NoSafetyConfig, RssConfig
+from negopipe.safety.layer import SafetyLayer
+from negopipe.safety.stops import N_PATH, StopPaths, braked
 from negopipe.simulation.collisions import CollisionCheck
-from negopipe.simulation.knot_tables import KNOT_M
 from negopipe.simulation.perception import Perception, other_columns
 from negopipe.simulation.sizes import Sizes
-from negopipe.simulation.state import NOBODY, VehicleState
-from negopipe.simulation.street import Street
-from negopipe.simulation.street_tables import Polynomials
-from negopipe.simulation.streets import Streets
+from negopipe.simulation.state import NOBODY, Motion, VehicleState
 from negopipe.simulation.waiting_place import Passage
+from negopipe.tensors.tree import map_tensors
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
@@ -43,11 +42,13 @@ PASSAGE = ("waiting", "leaving", "their_waiting", "their_leaving")
 
 
 class Decided(NamedTuple):
-    """Outputs.
+    """Outputs of one decision.
 
     horizon: [1] s; action: [1] int64; logits: [1, A]
     trajectory: [T, 6], x, y, yaw, speed, accel, curvature at the times of the plan
     is_full_braking: [1] bool, no candidate was feasible
+    intervention: [1] int64, of the safety layer, index into `safety.layer.INTERVENTIONS`; keep: [1, N_KEPT], `kept` of
+        the next decision. Without a layer the two are no outputs
     """
 
     horizon: Tensor
@@ -55,6 +56,8 @@ class Decided(NamedTuple):
     logits: Tensor
     trajectory: Tensor
     is_full_braking: Tensor
+    intervention: Tensor
+    keep: Tensor
 
 
 @dataclass(frozen=True)
@@ -90,69 +93,9 @@ class BroadcastRoadside(Roadside):
     """A roadside that is checked row by row in one computation: there may be many, and a graph must stay small."""
 
     def _into_rows(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, half: Half) -> Tensor:
-        rows = self.road.pick(self._rows, direction)  # [N, P, 4]
-        fields = (field.T[:, None, None] for field in rows.unbind(-1))  # [P, 1, 1, N]
+        rows = self.road.pick(self._rows, direction)  # [P, 4]
+        fields = (field[:, None, None, None] for field in rows.unbind(-1))  # [P, 1, 1, 1]
         return self._into_row(ParkedRow(*fields), s, direction, d, d_prime, half).amax(0)
-
-
-class GatheredPolynomials(Polynomials):
-    """Polynomials whose coefficients are looked up together: a node of a graph costs more than what it computes."""
-
-    def __init__(self, like: Polynomials) -> None:
-        self._n_intervals, self._first_m, self._table = like._n_intervals, like._first_m, like._table
-
-    def at(self, row: Tensor, sigma: Tensor) -> tuple[tuple[Tensor, ...], Tensor]:
-        interval = torch.floor((sigma - self._first_m) * (1 / KNOT_M)).clamp(0, self._n_intervals - 1)
-        ahead = sigma - (self._first_m + interval * KNOT_M)
-        index = row * self._n_intervals + interval.long()
-        found = self._table.index_select(1, index.flatten()).reshape(-1, *index.shape)
-        return found.unbind(0), ahead
-
-
-class BoundRoad(Streets):
-    """One street whose tables are replaced: neither straight nor of even kerbs, as far as the code can tell."""
-
-    def __init__(self, template: Street) -> None:
-        super().__init__([template])
-        self.is_straight = self._has_even_kerbs = False
-        table = self._lines
-        table._curvature, table._pose = GatheredPolynomials(table._curvature), GatheredPolynomials(table._pose)
-        self._routes, self._kerbs = GatheredPolynomials(self._routes), GatheredPolynomials(self._kerbs)
-        self._nearest_kerbs = GatheredPolynomials(self._nearest_kerbs)
-
-    def bind(self, tables: Mapping[str, Tensor]) -> None:
-        """Take over the tables of `StreetTables`, by name."""
-        for name, table in tables.items():
-            match name:
-                case "line_curvature":
-                    self._lines._curvature._table = table
-                case "line_pose":
-                    self._lines._pose._table = table
-                case "line_points":
-                    self._lines._searched = table[None]
-                case "routes":
-                    self._routes._table = table
-                case "kerbs":
-                    self._kerbs._table = table
-                case "near_kerbs":
-                    self._nearest_kerbs._table = table
-                case "corridor":
-                    self._corridor = table
-                case "target":
-                    self._target = table
-                case "narrow_places" | "n_places" | "parked":
-                    setattr(self, name, table)
-
-
-def bound_road(config: "RunConfig") -> BoundRoad:
-    """A road of the export's capacity; its tables are those of a straight street until it is bound."""
-    capacity = config.export.capacity
-    n, m = capacity.street.n_knots, capacity.n_narrow_places
-    first = np.arange(m) * 2.0 - m + 0.5
-    flat = np.zeros((n, 2))
-    far = np.tile([1e4, 0.0, 0.0, 0.0], (capacity.n_parked, 1))
-    narrow = np.stack([first, first + 1.0], -1)
-    return BoundRoad(Street(flat, np.full((2, n), 10.0), np.zeros((2, n, 3)), far, narrow, 10.0))
 
 
 class Decision(nn.Module):
@@ -170,6 +113,7 @@ class Decision(nn.Module):
         if reversing is not None:
             reversing._roadside = self._broadcast(reversing._roadside)
         self.observation = self._observation(config)
+        self.guard = None if isinstance(config.safety, NoSafetyConfig) else self._guard(config.safety)
         self.horizons: Tensor
         self.register_buffer("horizons", torch.tensor(config.policy.horizons_s))
 
@@ -180,10 +124,17 @@ class Decision(nn.Module):
         kind, dt_s = config.observation, self._dt_s
         if not isinstance(kind, ObjectsConfig):
             return PlainGrid(kind, self.road, self.sizes, dt_s)
-        passage = Passage.of(CollisionCheck(self.road, dt_s, other_columns(2)), self.sizes)
-        objects = Objects(kind, passage, dt_s)
+        objects = Objects(kind, self._passage(), dt_s)
         objects._street._n_knots = n_ahead(config)
         return objects
+
+    def _passage(self) -> Passage:
+        return Passage.of(CollisionCheck(self.road, self._dt_s, other_columns(2)), self.sizes)
+
+    def _guard(self, config: RssConfig) -> SafetyLayer:
+        layer = SafetyLayer(config, self.road, self.sizes, self._dt_s, self._passage())
+        layer.roadside = self._broadcast(layer.roadside)
+        return layer
 
     def forward(
         self,
@@ -194,9 +145,13 @@ class Decision(nn.Module):
         is_seen: Tensor,
         direction: Tensor,
         street: dict[str, Tensor],
-    ) -> Decided:
-        """own: [11], `OWN`; own_history: [K, 3], x, y, yaw; others: [N, 7], `OTHER`; others_history: [K, N, 3];
-        is_seen: [K, N], 1 where seen, index 0 now; direction: [1]; street: tables by name.
+        kept: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        """Fields of `Decided`, as many as `outputs` names.
+
+        own: [11], `OWN`; own_history: [K, 3], x, y, yaw; others: [N, 7], `OTHER`; others_history: [K, N, 3];
+        is_seen: [K, N], 1 where seen, index 0 now; direction: [1]; street: tables by name
+        kept: [1, N_KEPT] of the decision before, NaN in the first one; None without a safety layer
         """
         self._bind(street)
         perception = self._perception(own, own_history, others, others_history, is_seen > 0.5, direction)
@@ -204,18 +159,40 @@ class Decision(nn.Module):
         action = greedy_action(logits)
         horizon = self.horizons[action]
         states, is_full_braking = self.planner.trajectory(perception, horizon[:, None])
-        position, *rest = (field[0, 0] for field in vars(states).values())
-        trajectory = torch.cat([position, torch.stack(rest, -1)], -1)
-        return Decided(horizon, action, logits, trajectory, is_full_braking[0])
+        decided = (horizon, action, logits, _rows(map_tensors(lambda field: field[0, 0], states)), is_full_braking[0])
+        if self.guard is None or kept is None:
+            return decided
+        motion = Motion(map_tensors(lambda field: field[:, :, 0], states), horizon[:, None], is_full_braking)
+        return self._guarded(decided, self.guard, perception, motion, kept)
+
+    def _guarded(
+        self, decided: tuple[Tensor, ...], guard: SafetyLayer, perception: Perception, motion: Motion, kept: Tensor
+    ) -> tuple[Tensor, ...]:
+        """The decision with what the safety layer drives: its step, and then the stop that it has checked."""
+        horizon, action, logits, trajectory, _ = decided
+        checked = guard.guard(perception, motion, kept)
+        step, direction = map_tensors(lambda field: field[:, 0], checked.motion.state), perception.direction[:, 0]
+        paths = StopPaths.unpack(checked.kept[:, :N_PATH])
+        decel = torch.full_like(paths.start_s, guard.config.limits.decel_max_mps2)
+        seconds = self.planner.times[:-1, None]  # after the step
+        stopping = braked(self.road, direction, self.road.to_route(step, direction), paths, decel, seconds)
+        rest = _rows(map_tensors(lambda field: field[:, 0], self.road.to_world(stopping, direction)))
+        stop = torch.cat([_rows(step), rest])
+        trajectory = torch.where(checked.intervention[:, None] > 0, stop, trajectory)
+        is_full_braking = checked.motion.is_full_braking[0]
+        return Decided(horizon, action, logits, trajectory, is_full_braking, checked.intervention, checked.kept)
 
     def _bind(self, street: dict[str, Tensor]) -> None:
         """Take over a street's tables in all parts that hold some."""
         self.road.bind(street)
         planner, observation = self.planner, self.observation
         planner.roadside._rows = street["rows"]
-        parts: list[Any] = [part for part in (planner.give_way, planner.reversing, planner.lingering) if part]
+        holders = (planner.give_way, planner.reversing, planner.lingering, self.guard)
+        parts: list[Any] = [part for part in holders if part]
         if planner.reversing is not None:
             planner.reversing._roadside._rows = street["rows"]
+        if self.guard is not None:
+            self.guard.roadside._rows = street["rows"]
         if isinstance(observation, Objects):
             parts += [observation]
             observation._street._table = street["ahead"]
@@ -252,6 +229,17 @@ class Decision(nn.Module):
         )
 
 
+def _rows(states: VehicleState) -> Tensor:
+    """[T, 6]: x, y, yaw, speed, acceleration, curvature of states [T]."""
+    position, *rest = vars(states).values()
+    return torch.cat([position, torch.stack(rest, -1)], -1)
+
+
+def outputs(config: "RunConfig") -> tuple[str, ...]:
+    """Names of the outputs of the decision of a config."""
+    return Decided._fields[:-2] if isinstance(config.safety, NoSafetyConfig) else Decided._fields
+
+
 def n_ahead(config: "RunConfig") -> int:
     """Knots of the table of the street ahead, for corridors up to the reach of the export."""
     return 2 + int((config.export.capacity.reach_m + 2 * AROUND_M) / AHEAD_KNOT_M)
@@ -266,6 +254,7 @@ def needs(config: "RunConfig") -> list[str]:
         names += ["parked", "off_road"]
     else:
         names += ["target", "ahead", "narrow_places"]
-    if not is_grid or planner.give_way or planner.reversing or planner.cost.lingering:
+    waits = planner.give_way or planner.reversing or planner.cost.lingering
+    if not is_grid or waits or not isinstance(config.safety, NoSafetyConfig):
         names += PASSAGE
     return names

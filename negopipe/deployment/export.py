@@ -4,6 +4,7 @@
 
     policy.onnx             observations -> logits and value
     decision.onnx           states and street -> horizon and trajectory, where `export.files` names it
+    street.onnx             tables of a street -> those that say where to wait, where the decision reads them
     selftest.npz            driven observations and the outputs that torch gives for them
     checkpoint.safetensors  the weights, for the check by `python -m negopipe.deployment.verify <folder>`
     export.json             all that these depend on: observation, horizons, config, versions, hashes
@@ -27,13 +28,14 @@ import torch
 from negopipe.config.compose import compose_config
 from negopipe.config.root import as_mapping
 from negopipe.deployment.decision import Decision
-from negopipe.deployment.decision_file import StreetInputs, arguments_of, write_decision
+from negopipe.deployment.decision_file import StreetInputs, arguments_of, has_surroundings, write_decision, write_street
 from negopipe.deployment.driven import drive_held_out
 from negopipe.deployment.manifest import (
     DECISION_NAME,
     MANIFEST_NAME,
     POLICY_NAME,
     SELFTEST_NAME,
+    STREET_NAME,
     file_hash,
     manifest_text,
 )
@@ -86,20 +88,24 @@ def export(config: "RunConfig", checkpoint: Path, folder: Path) -> list[Path]:
     write_policy(folder / POLICY_NAME, policy, observations, config.export.opset)
     write_whole(folder / SELFTEST_NAME, npz_bytes(selftest(policy, observations)))
     if "decision" in config.export.files:
-        names.append(DECISION_NAME)
-        _write_decision(config, game, policy, folder / DECISION_NAME)
+        names += _write_decision(config, game, policy, folder)
     write_whole(folder / MANIFEST_NAME, manifest_text(_content(config, folder), folder, names).encode())
     return [folder / name for name in (*names, MANIFEST_NAME)]
 
 
-def _write_decision(config: "RunConfig", game: Game, policy: Policy, path: Path) -> None:
-    """Write decision.onnx by the first decision of a held-out task."""
+def _write_decision(config: "RunConfig", game: Game, policy: Policy, folder: Path) -> list[str]:
+    """Write decision.onnx by the first decision of a held-out task, and street.onnx if need be; returns the names."""
     one = replace(config, evaluation=replace(config.evaluation, n_episodes=1))
     world = game.simulator.reset(held_out_tasks(one, game, config.evaluation.leading_setting))
     with torch.no_grad():
         decision = Decision(config, policy).eval()
-        (arguments,) = arguments_of(config, game, StreetInputs(config, game, decision), world)
-        write_decision(path, decision, arguments, config)
+        streets = StreetInputs(config, game)
+        (arguments,) = arguments_of(config, game, streets, world)
+        write_decision(folder / DECISION_NAME, decision, arguments, config)
+        if not has_surroundings(config):
+            return [DECISION_NAME]
+        write_street(folder / STREET_NAME, config, streets.tables(1))
+        return [DECISION_NAME, STREET_NAME]
 
 
 @own_settings()  # which torch.export, that writes the files, cannot stand

@@ -7,13 +7,14 @@ from typing import Any
 
 from negopipe.errors import UserError
 
-FORMAT = 1
+FORMAT = 2
 """Version of the folder's layout; a reader refuses any other."""
 
 MANIFEST_NAME = "export.json"
 POLICY_NAME = "policy.onnx"
 SELFTEST_NAME = "selftest.npz"
 DECISION_NAME = "decision.onnx"
+STREET_NAME = "street.onnx"
 
 
 def file_hash(path: Path) -> str:

@@ -1,11 +1,11 @@
-"""ONNX files: written from a torch module, opened by onnxruntime on one thread."""
+"""ONNX files, written from a torch module."""
 
 import importlib.util
 import logging
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import nn
@@ -13,9 +13,6 @@ from torch.utils._pytree import tree_map
 
 from negopipe.errors import UserError
 from negopipe.tracking.whole_file import write_whole
-
-if TYPE_CHECKING:
-    import onnxruntime
 
 NEEDED = ("onnx", "onnxscript", "onnxruntime")
 """Packages of the extra `export`."""
@@ -62,16 +59,6 @@ def write_onnx(
         )
     assert program is not None
     write_whole(path, program.model_proto.SerializeToString())
-
-
-def open_onnx(path: Path) -> "onnxruntime.InferenceSession":
-    """A session on one thread of the CPU."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
 
 
 class _quiet:

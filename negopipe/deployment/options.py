@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from negopipe.deployment.tables import Capacity
-from negopipe.schema import Distinct, PositiveInt, PositiveMetres, schema
+from negopipe.schema import Distinct, NonNegativeFloat, PositiveFloat, PositiveInt, PositiveMetres, schema
 
 ExportFile = Literal["policy", "decision"]
 
@@ -26,6 +26,17 @@ class CapacityConfig:
 
 
 @schema
+class RuntimeConfig:
+    """What the runtime takes of its inputs; `conf/export/onnx.yaml` says what each value means."""
+
+    gap_s: PositiveFloat
+    future_s: NonNegativeFloat
+    jump_m: PositiveMetres
+    replan_m: PositiveMetres
+    aside_m: PositiveMetres
+
+
+@schema
 class ExportConfig:
     """`conf/export/onnx.yaml` says what each value means."""
 
@@ -35,3 +46,4 @@ class ExportConfig:
     n_decisions: PositiveInt
     n_worlds: PositiveInt
     capacity: CapacityConfig
+    runtime: RuntimeConfig

@@ -21,7 +21,8 @@ from torch import Tensor
 from negopipe.config.root import load
 from negopipe.deployment.driven import drive_held_out
 from negopipe.deployment.manifest import POLICY_NAME, read_manifest
-from negopipe.deployment.onnx_file import need_packages, open_onnx
+from negopipe.deployment.onnx_file import need_packages
+from negopipe.deployment.onnx_session import open_onnx
 from negopipe.deployment.parity_table import put_row
 from negopipe.deployment.policy_file import INPUT
 from negopipe.errors import UserError

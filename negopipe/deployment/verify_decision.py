@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from negopipe.deployment.decision import Decision
-from negopipe.deployment.decision_file import DecisionSession, StreetInputs, arguments_of, expected
+from negopipe.deployment.decision_file import StreetInputs, arguments_of, expected
 from negopipe.deployment.driven import drive_held_out
 from negopipe.deployment.manifest import DECISION_NAME, read_manifest
 from negopipe.deployment.onnx_file import need_packages
+from negopipe.deployment.onnx_session import Graph
 from negopipe.deployment.parity_table import put_row
 from negopipe.deployment.policy_file import exported
 from negopipe.deployment.verify import config_of
@@ -44,9 +44,10 @@ class DecisionParity:
     """Decisions of onnxruntime beside torch's.
 
     n_decisions: compared
-    n_same_horizon: with the same horizon
+    n_same_horizon: with the same horizon and intervention of the safety layer
     n_same: of those, with a trajectory within `TOLERANCE_M` at all times
     n_same_step: of those with the same horizon, with the first state within `TOLERANCE_M`
+    n_interventions: decisions in which the safety layer replaces the plan; of these only the first state is compared
     largest_m: largest distance of two places among the trajectories that count as the same
     p50_ms, p99_ms: CPU time of one decision of onnxruntime, which is what it takes on a core of its own
     """
@@ -55,19 +56,22 @@ class DecisionParity:
     n_same_horizon: int
     n_same: int
     n_same_step: int
+    n_interventions: int
     largest_m: float
     p50_ms: float
     p99_ms: float
 
     @staticmethod
     def of(rows: np.ndarray) -> "DecisionParity":
-        """rows: [n, 4], whether the horizons agree, distance of the first places and largest distance (m), time (s)."""
-        agree, first_m, farthest_m, seconds = rows.T
+        """rows: [n, 5], whether horizon and intervention agree, distance of the first places and largest distance (m),
+        time (s), whether the safety layer intervenes."""
+        agree, first_m, farthest_m, seconds, intervenes = rows.T
         is_same = (agree > 0) & (farthest_m <= TOLERANCE_M)
         p50, p99 = np.percentile(seconds, [50, 99]) * 1e3
         largest = float(farthest_m[is_same].max(initial=0.0))
         n_step = int(((agree > 0) & (first_m <= TOLERANCE_M)).sum())
-        return DecisionParity(len(rows), int(agree.sum()), int(is_same.sum()), n_step, largest, float(p50), float(p99))
+        counts = (len(rows), int(agree.sum()), int(is_same.sum()), n_step, int(intervenes.sum()))
+        return DecisionParity(*counts, largest, float(p50), float(p99))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -96,19 +100,22 @@ def verify_decision(folder: Path, n_decisions: int) -> DecisionParity:
     config = config_of(read_manifest(folder))
     policy = exported(load_policy(folder / CHECKPOINT_NAME, config))
     game = with_learned(build_game(config), config, policy)
-    streets = StreetInputs(config, game, Decision(config, policy).eval())
-    session = DecisionSession(folder / DECISION_NAME)
-    rows: list[tuple[float, float, float, float]] = []
+    streets = StreetInputs(config, game)
+    session = Graph(folder / DECISION_NAME)
+    rows: list[tuple[float, ...]] = []
 
     def choose(world: World) -> torch.Tensor:
         ours = expected(config, game, policy, world)
         for index, arguments in enumerate(arguments_of(config, game, streets, world)):
             start = time.thread_time()
-            theirs = session.decide(arguments)
+            theirs = session(arguments)
             seconds = time.thread_time() - start
-            apart = np.linalg.norm(ours["trajectory"][index, :, :2].numpy() - theirs["trajectory"][:, :2], axis=-1)
+            n_compared = 1 if int(ours["intervention"][index]) else None
+            apart = np.linalg.norm((ours["trajectory"][index].numpy() - theirs["trajectory"])[:n_compared, :2], axis=-1)
             agree = float(ours["horizon"][index]) == float(theirs["horizon"][0])
-            rows.append((float(agree), float(apart[0]), float(apart.max()), seconds))
+            intervention = int(theirs.get("intervention", np.zeros(1))[0])
+            agree &= intervention == int(ours["intervention"][index])
+            rows.append((float(agree), float(apart[0]), float(apart.max()), seconds, float(intervention > 0)))
         return ours["horizon"]
 
     drive_held_out(config, game, choose, n_decisions)

@@ -17,7 +17,7 @@ class Guard:
     """A safety layer for the egos; without one (`layer` None) every motion is driven as it is."""
 
     def __init__(self, config: AnySafetyConfig, simulator: Simulator) -> None:
-        self.layer = None if isinstance(config, NoSafetyConfig) else SafetyLayer(config, simulator)
+        self.layer = None if isinstance(config, NoSafetyConfig) else SafetyLayer.of(config, simulator)
 
     def decided(self, perception: Perception, motion: Motion) -> Motion:
         """The motions [E, S] with NaN for who follows the planner with NaN as its horizon: that is no decision."""

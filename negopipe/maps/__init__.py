@@ -14,12 +14,16 @@ lanelets      those of a CommonRoad scenario as they are written again
 recording     drives written as a CommonRoad scenario (2020a), and read again
 """
 
-from negopipe.maps.commonroad import read_commonroad
-from negopipe.maps.lanelet2 import read_lanelet2
-from negopipe.maps.lanelets import read_lanelets
-from negopipe.maps.parking import KerbsideRow, Parking, Side
-from negopipe.maps.recording import Trajectory, read_trajectories, write_commonroad
-from negopipe.maps.street import MapStreet, free_sides
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from negopipe.maps.commonroad import read_commonroad
+    from negopipe.maps.lanelet2 import read_lanelet2
+    from negopipe.maps.lanelets import read_lanelets
+    from negopipe.maps.parking import KerbsideRow, Parking, Side
+    from negopipe.maps.recording import Trajectory, read_trajectories, write_commonroad
+    from negopipe.maps.street import MapStreet, free_sides
 
 __all__ = [
     "KerbsideRow",
@@ -34,3 +38,24 @@ __all__ = [
     "read_trajectories",
     "write_commonroad",
 ]
+
+if not TYPE_CHECKING:  # a type checker must not take every name for one of this package
+    _MODULES = {
+        "KerbsideRow": "parking",
+        "MapStreet": "street",
+        "Parking": "parking",
+        "Side": "parking",
+        "Trajectory": "recording",
+        "free_sides": "street",
+        "read_commonroad": "commonroad",
+        "read_lanelet2": "lanelet2",
+        "read_lanelets": "lanelets",
+        "read_trajectories": "recording",
+        "write_commonroad": "recording",
+    }
+
+    def __getattr__(name):
+        """A name of the face, imported at its first use: a vehicle's runtime has NumPy alone, no pydantic (PEP 562)."""
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -30,8 +30,9 @@ from negopipe.safety.limits import is_drivable, is_finite
 from negopipe.safety.reach import Reach
 from negopipe.safety.stops import N_PATH, StopPaths, braked, sweep
 from negopipe.simulation.perception import Perception
-from negopipe.simulation.road import RouteState
+from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.simulator import Simulator
+from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import Motion
 from negopipe.simulation.waiting_place import Passage
 from negopipe.tensors.tree import map_tensors, tree_where
@@ -66,19 +67,24 @@ class Guarded(NamedTuple):
 
 
 class SafetyLayer:
-    """The layer for the street, sizes and control step of a simulator; a function of tensors.
+    """The layer for a road, sizes and control step; a function of tensors.
 
     lateral: paths on which the ego may come to rest
+    roadside: kerbs and parked cars beside them
     passage: places before the narrow ones at which it waits
     """
 
-    def __init__(self, config: RssConfig, simulator: Simulator) -> None:
-        self.config, self.road, self.sizes = config, simulator.road, simulator.sizes
-        self.dt_s, device = simulator.scenario.dt_s, simulator.road.device
+    def __init__(self, config: RssConfig, road: Road, sizes: Sizes, dt_s: float, passage: Passage) -> None:
+        self.config, self.road, self.sizes, self.dt_s, self.passage = config, road, sizes, dt_s, passage
+        device = road.device
         self.lateral = LateralCandidates(config.stops, self.road, device)
-        self._roadside = Roadside(self.road, self.sizes, torch.full((N_SPANS + 1,), config.parked_m, device=device))
+        self.roadside = Roadside(self.road, self.sizes, torch.full((N_SPANS + 1,), config.parked_m, device=device))
         self._reach = Reach(config, self.road, self.dt_s)
-        self.passage = Passage.of(simulator.collisions, self.sizes)
+
+    @staticmethod
+    def of(config: RssConfig, simulator: Simulator) -> "SafetyLayer":
+        passage = Passage.of(simulator.collisions, simulator.sizes)
+        return SafetyLayer(config, simulator.road, simulator.sizes, simulator.scenario.dt_s, passage)
 
     def guard(self, perception: Perception, motion: Motion, kept: Tensor) -> Guarded:
         """What the ego drives instead of `motion` [E, 1], which is itself where it passes.
@@ -114,7 +120,7 @@ class SafetyLayer:
         """
         limits = self.config.limits
         swept = sweep(self.road, now.direction, starts, paths, limits.decel_max_mps2, N_SPANS)
-        beside = -self._roadside.excess(swept.s, now.direction, swept.d, swept.d_prime, now.size).amax(1)
+        beside = -self.roadside.excess(swept.s, now.direction, swept.d, swept.d_prime, now.size).amax(1)
         margin = torch.minimum(beside, self._reach.margin(now, swept))
         return torch.where(swept.curvature.abs().amax(1) <= limits.curvature_max_1pm, margin, OUT_M)
 

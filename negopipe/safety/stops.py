@@ -59,16 +59,18 @@ class StopPaths(NamedTuple):
         return route_d + d, route_d_prime + d_prime, route_d_pprime + d_pprime
 
 
-def braked(road: Road, direction: Tensor, now: RouteState, paths: StopPaths, decel: Tensor, dt_s: float) -> RouteState:
-    """States [C, N] one step into braking along the paths.
+def braked(
+    road: Road, direction: Tensor, now: RouteState, paths: StopPaths, decel: Tensor, time_s: float | Tensor
+) -> RouteState:
+    """States [C, N] some time into braking along the paths.
 
-    now: fields [N]; decel: [C, N] m/s2, along the path
+    now: fields [N]; decel: [C, N] m/s2, along the path; time_s: one or [C, 1]
     """
     per_road = _per_road(road, direction, now)
     decel, gear, speed = decel / per_road, torch.sign(now.s_dot), now.s_dot.abs()
-    moving_s = (speed / decel).clamp(max=dt_s)
+    moving_s = (speed / decel).clamp(max=time_s)
     travelled = speed * moving_s - decel * moving_s**2 / 2
-    after = (speed - decel * dt_s).clamp(min=0)
+    after = (speed - decel * time_s).clamp(min=0)
     s = now.s + gear * travelled
     return RouteState(s, gear * after, torch.where(after > 0, -gear * decel, 0.0), *paths.at(road, direction, s))
 

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
+from negopipe.simulation.map_street import Footprint
 from negopipe.simulation.road import Road, RouteState
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.streets import Streets
 
 STEP_M = 1.0
@@ -30,7 +30,7 @@ class RouteCheck(NamedTuple):
     curvature: Tensor
 
 
-def check_routes(road: Streets, vehicle: VehicleConfig, clearance_m: float) -> RouteCheck:
+def check_routes(road: Streets, vehicle: Footprint, clearance_m: float) -> RouteCheck:
     """Both routes of every street, from end to end."""
     s = torch.arange(-road.reach_m, road.reach_m, STEP_M)
     way = road.ways[:, None].expand(-1, len(s))
@@ -69,7 +69,7 @@ def _kerb_excess(road: Road, boxes: Boxes, s: Tensor, way: Tensor) -> Tensor:
     return road.kerb_excess(s, way, d, reach, kappa.abs() * boxes.half_length**2 / 2)
 
 
-def is_drivable(road: Streets, vehicle: VehicleConfig, clearance_m: float, curvature_max_1pm: float) -> Tensor:
+def is_drivable(road: Streets, vehicle: Footprint, clearance_m: float, curvature_max_1pm: float) -> Tensor:
     """[B] bool: on both routes a vehicle keeps clear of kerbs and parked cars, and no bend is too sharp."""
     routes = check_routes(road, vehicle, clearance_m)
     is_bad = routes.touches | (routes.curvature.abs() > curvature_max_1pm)

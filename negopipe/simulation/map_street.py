@@ -6,14 +6,13 @@ narrow place to the last one; the world, which has its origin there and its x ax
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from negopipe.errors import UserError
-from negopipe.maps import MapStreet, free_sides
-from negopipe.maps.street import STEP_M
+from negopipe.maps.street import STEP_M, MapStreet, free_sides
 from negopipe.simulation.knot_tables import BEYOND_M, KNOT_M, knots
-from negopipe.simulation.scenario import VehicleConfig
 from negopipe.simulation.smoothstep import smoothstep
 from negopipe.simulation.street import Street
 
@@ -21,6 +20,16 @@ TAPER_M = 10.0
 """Length over which the line turns straight beyond the ends of the map, m."""
 
 Array = np.ndarray
+
+
+class Footprint(Protocol):
+    """Length and width of a vehicle, m."""
+
+    @property
+    def length_m(self) -> float: ...
+
+    @property
+    def width_m(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -36,7 +45,7 @@ class MapRules:
     curvature_max_1pm: sharpest bend of a route, 1/m
     """
 
-    vehicle: VehicleConfig
+    vehicle: Footprint
     swerve_m: float
     lane_m: float
     target_m: float

@@ -11,7 +11,7 @@ from games import tiny_config
 from negopipe.config.root import RunConfig
 from negopipe.deployment.export import export, main
 from negopipe.deployment.manifest import MANIFEST_NAME, POLICY_NAME, SELFTEST_NAME, read_manifest
-from negopipe.deployment.onnx_file import open_onnx
+from negopipe.deployment.onnx_session import open_onnx
 from negopipe.deployment.verify import ROWS, add_row, compare, total, verify
 from negopipe.deployment.verify_decision import verify_decision
 from negopipe.policy.kinds import build_policy

@@ -39,7 +39,7 @@ def game(config: RunConfig) -> Game:
 @pytest.fixture(scope="module")
 def layer(config: RunConfig, game: Game) -> SafetyLayer:
     assert isinstance(config.safety, RssConfig)
-    return SafetyLayer(config.safety, game.simulator)
+    return SafetyLayer.of(config.safety, game.simulator)
 
 
 def planned(game: Game, world: World, horizon_s: float) -> Motion:
@@ -231,7 +231,7 @@ def fingerprint(*overrides: str) -> list[float]:
     config = tiny_config("mixture", "safety=rss", *overrides)
     game = build_game(config)
     assert isinstance(config.safety, RssConfig)
-    layer = SafetyLayer(config.safety, game.simulator)
+    layer = SafetyLayer.of(config.safety, game.simulator)
     places = [(IN_CORRIDOR_M, 0.0, other, speed) for other in (0.5, -4.0) for speed in (2.0, 5.0)]
     places += [(-22.0, -3.0, -40.0, 2.0), (-10.0, -1.5, -3.0, 3.0)]
     margins = [margin_at(config, game, layer, *at) for at in places]
