@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from negopipe.agents.driver import Driver, HorizonDriver
+from negopipe.agents.horizon_drivers import drawn_action
 from negopipe.agents.person import seat_person
 from negopipe.config.compose import compose_config
 from negopipe.errors import UserError, abbreviate
@@ -68,21 +70,27 @@ class Arena:
         if self.baseline is not None:
             return self.config.evaluation.baselines[self.baseline].driver(self.game, task.noise_seed), None
         assert self.policy is not None
-        chooser = Chooser(self.policy, self.game, self.horizons_s)
+        key = task.noise_seed if self.config.evaluation.action == "sample" else None
+        chooser = Chooser(self.policy, self.game, self.horizons_s, key)
         return HorizonDriver(chooser, self.game.plan), chooser
 
 
 class Chooser:
-    """The policy's most probable horizon in one world, which remembers the probabilities of its last choice [A]."""
+    """The policy's choice in one world, which remembers the probabilities of its last one [A].
 
-    def __init__(self, policy: Policy, game: Game, horizons_s: tuple[float, ...]) -> None:
-        self._policy, self._game, self._horizons = policy, game, torch.tensor(horizons_s)
+    key: [1] int64, from which horizons are drawn by their probabilities; None = the most probable one
+    """
+
+    def __init__(self, policy: Policy, game: Game, horizons_s: tuple[float, ...], key: Tensor | None) -> None:
+        self._policy, self._game, self._horizons, self._key = policy, game, torch.tensor(horizons_s), key
+        self._decisions = count()
         self.probability: list[float] = []
 
     def __call__(self, perception: Perception) -> Tensor:
         logits = self._policy(self._game.draw(perception))[0]
         self.probability = logits[0].float().softmax(-1).tolist()
-        return self._horizons[greedy_action(logits)][:, None]
+        action = greedy_action(logits) if self._key is None else drawn_action(logits, self._key, next(self._decisions))
+        return self._horizons[action][:, None]
 
 
 @one_thread()
