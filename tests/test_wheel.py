@@ -19,10 +19,28 @@ pytestmark = pytest.mark.slow
 
 USE = """
 import gymnasium, negopipe
+from negopipe.deployment import Negotiator
 print(negopipe.__file__)
 env = negopipe.make_env(["scenario.episode_steps=4"])
 print(env.reset(seed=1)[0].shape, gymnasium.make("negopipe/Push-v0", overrides=["scenario.episode_steps=4"]).spec.id)
 print(negopipe.load_policy("pretrained/yield").act(env.reset(seed=1)[0]))
+"""
+
+PLAY = """
+import json, subprocess, sys, urllib.request
+command = [sys.executable, "-m", "negopipe.play", "play.port=0", "play.opens_browser=false", "scenario.episode_steps=1"]
+server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+address = next(word for word in server.stdout.readline().split() if word.startswith("http"))
+
+def ask(path, value=None):
+    body = None if value is None else json.dumps(value).encode()
+    request = urllib.request.Request(f"{address}{path}", body, {"Content-Type": "application/json"})
+    return urllib.request.urlopen(request).read()
+
+assert b"<canvas" in ask("/")
+begun = json.loads(ask("/api/encounters", {"opponent": "yield", "street": "narrow_lane", "control": "pedals"}))
+print(json.loads(ask(f"/api/encounters/{begun['id']}/step", {"step": 0, "command": "go"}))["outcome"])
+server.terminate()
 """
 
 
@@ -88,6 +106,14 @@ def test_the_pipeline_and_a_replay_work_anywhere(anywhere: tuple[Path, Run]) -> 
     assert 1e5 < (made / "report.html").stat().st_size < 5e6
     assert (made / "replays" / "yield_fixed_6_1.gif").is_file()
     assert str(ROOT) not in (made / "config.yaml").read_text() + (made / "record.json").read_text()
+
+
+def test_a_person_can_drive_anywhere(anywhere: tuple[Path, Run]) -> None:
+    folder, run = anywhere
+    driven = run("-c", PLAY)
+    assert driven.returncode == 0, driven.stderr
+    assert driven.stdout.split() == ["timeout"]
+    assert len(list((folder / "outputs" / "play" / "encounters").iterdir())) == 1
 
 
 def test_an_export_works_anywhere_or_says_what_is_missing(anywhere: tuple[Path, Run]) -> None:
