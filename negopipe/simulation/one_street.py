@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from negopipe.simulation.bays import park_in_bays
 from negopipe.simulation.geometry import Boxes, box_rows, rim
 from negopipe.simulation.knot_tables import BEYOND_M, knots
 from negopipe.simulation.off_road import off_road_rows
@@ -104,7 +105,7 @@ class OneStreet(Road):
 def park(config: StreetConfig) -> Tensor:
     """[P, 4] float32, sigma, d, length and width (m): cars in rows, evenly spread so that each row fills its corridor.
 
-    Irregularly parked cars are some of them, moved along their row and towards their kerb.
+    Irregularly parked cars are some of them, moved along their row and towards their kerb. Those in bays come last.
     """
     n, length, width = config.n_parked_per_side, config.parked_car_length_m, config.parked_car_width_m
     last = (config.corridor_length_m - length) / 2
@@ -117,7 +118,9 @@ def park(config: StreetConfig) -> Tensor:
             d = torch.full((n, 1), middle + side * from_middle)
             rows.append(torch.cat([along[:, None] + (start + end) / 2, d, size], dim=1))
     cars = torch.cat(rows)
-    return cars if config.is_closed_form else _irregular(cars, config)
+    if config.is_closed_form:
+        return cars
+    return torch.cat([_irregular(cars, config), park_in_bays(config.bays, config.width_at, length, width)])
 
 
 def _irregular(cars: Tensor, config: StreetConfig) -> Tensor:

@@ -20,13 +20,14 @@ from negopipe.schema import (
     SizeRange,
     schema,
 )
+from negopipe.simulation.bays import Bay, BaySide, check_bays
 from negopipe.simulation.reference_line import Bend, check_bends
 from negopipe.simulation.road_width import WidthChange, check_width_changes, width_at
 
 ParkedSides = Literal["both", "left", "right", "alternating"]
 
-LISTS = ("bends", "width_changes")
-"""Fields of a road that are lists, each of whose items has sizes of its own."""
+LISTS: dict[str, type] = {"bends": Bend, "width_changes": WidthChange, "bays": Bay}
+"""Fields of a road that are lists, each of whose items has sizes of its own, and what a street has of them."""
 
 N_TRIES = 1000
 """Draws of a street until one fits."""
@@ -67,6 +68,26 @@ class WidthChangeConfig:
     width_m: SizeRange
 
 
+@schema
+class BayConfig:
+    """A row of cars parked beside the road, behind its kerb, of the road's `parked_car_length_m` and `_width_m`.
+
+    side: of the road, seen along the ego's way
+    start_m: arc length from the corridor's middle at which it begins
+    length_m: arc length from the near end of its first car to the far end of its last one
+    kerb_gap_m: distance from the kerb to the cars
+    is_across: whether the cars stand across the road
+    n_parked: cars, evenly spaced
+    """
+
+    side: BaySide
+    start_m: RealRange
+    length_m: SizeRange
+    kerb_gap_m: DistanceRange
+    is_across: bool
+    n_parked: CountRange
+
+
 @dataclass(frozen=True)
 class StreetConfig:
     """Sizes of one street in metres; `conf/scenario/narrow_lane.yaml` says what each value means.
@@ -77,6 +98,7 @@ class StreetConfig:
     bends: tuple[Bend, ...]
     width_m: float
     width_changes: tuple[WidthChange, ...]
+    bays: tuple[Bay, ...]
     lane_offset_m: float
     corridor_length_m: float
     corridor_gap_m: float
@@ -113,6 +135,7 @@ class StreetConfig:
             )
         check_bends(self.bends, max(self.width_m, *(change.width_m for change in self.width_changes), 0.0))
         check_width_changes(self.width_changes, self.corridors_m)
+        check_bays(self.bays, self.parked_car_length_m, self.parked_car_width_m)
 
     @property
     def _needed_m(self) -> float:
@@ -121,9 +144,9 @@ class StreetConfig:
 
     @property
     def is_closed_form(self) -> bool:
-        """Whether `OneStreet` can compute it: one width, one corridor of evenly parked cars."""
-        is_even = self.parked_empty_share == 0 and self.parked_irregularity == 0 and not self.width_changes
-        return self.n_corridors == 1 and is_even
+        """Whether `OneStreet` can compute it: one width, one corridor of evenly parked cars, no bays."""
+        is_even = self.parked_empty_share == 0 and self.parked_irregularity == 0
+        return self.n_corridors == 1 and is_even and not self.width_changes and not self.bays
 
     def width_at(self, sigma: Tensor) -> Tensor:
         """[...] m: distance from kerb to kerb at sigma [...]."""
@@ -192,6 +215,7 @@ class RoadConfig:
     bends: tuple[BendConfig, ...]
     width_m: SizeRange
     width_changes: tuple[WidthChangeConfig, ...]
+    bays: tuple[BayConfig, ...]
     lane_offset_m: SizeRange
     corridor_length_m: SizeRange
     corridor_gap_m: SizeRange
@@ -215,14 +239,14 @@ class RoadConfig:
 
     @property
     def _sizes(self) -> dict[str, Any]:
-        """Its sizes by name, without those of bends and of changes of the width."""
+        """Its sizes by name, without those of its lists."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name not in LISTS}
 
     @property
     def varies(self) -> bool:
         """Whether streets differ: an interval, several sides, or cars parked irregularly."""
-        changes: tuple[Any, ...] = (*self.bends, *self.width_changes)
-        values = [*self._sizes.values(), *(getattr(each, field.name) for each in changes for field in fields(each))]
+        items: tuple[Any, ...] = tuple(item for name in LISTS for item in getattr(self, name))
+        values = [*self._sizes.values(), *(getattr(each, field.name) for each in items for field in fields(each))]
         is_drawn = any(isinstance(value, tuple) for value in values)
         return is_drawn or self.parked_empty_share != 0 or self.parked_irregularity != 0
 
@@ -267,11 +291,10 @@ class RoadConfig:
                 return int(torch.randint(low, high + 1, (), generator=generator))
             return low + (high - low) * float(torch.rand((), generator=generator, dtype=torch.float64))
 
+        def one(item: type, each: Any) -> Any:
+            return item(*(number(getattr(each, field.name)) for field in fields(each)))
+
         drawn = {name: number(value) for name, value in self._sizes.items()}
-        bends = tuple(Bend(*(number(getattr(bend, field.name)) for field in fields(bend))) for bend in self.bends)
-        changes = tuple(
-            WidthChange(*(number(getattr(change, field.name)) for field in fields(change)))
-            for change in self.width_changes
-        )
+        lists = {name: tuple(one(item, each) for each in getattr(self, name)) for name, item in LISTS.items()}
         seed = int(torch.randint(2**31, (), generator=generator)) if self.varies else 0
-        return StreetConfig(bends=bends, width_changes=changes, **drawn, parked_seed=seed)
+        return StreetConfig(**lists, **drawn, parked_seed=seed)

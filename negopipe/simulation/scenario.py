@@ -158,10 +158,10 @@ class ScenarioConfig:
         """Upper bound on the parked cars of a street."""
         if self.map is not None:
             return len(read_map(self.map).parked)
-        n_per_side, n_corridors = (
-            max(n) if isinstance(n, tuple) else n for n in (self.road.n_parked_per_side, self.road.n_corridors)
-        )
-        return 2 * n_per_side * n_corridors
+        road = self.road
+        counts = (road.n_parked_per_side, road.n_corridors, *(bay.n_parked for bay in road.bays))
+        n_per_side, n_corridors, *in_bays = (max(n) if isinstance(n, tuple) else n for n in counts)
+        return 2 * n_per_side * n_corridors + sum(in_bays)
 
     @property
     def n_others(self) -> int:
