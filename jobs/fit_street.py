@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +20,7 @@ from negopipe import load_config
 from negopipe.maps import MapStreet, free_sides
 from negopipe.maps.line import integrate
 from negopipe.maps.street import to_line
-from negopipe.simulation.bays import Bay
+from negopipe.simulation.bays import Bay, BaySide
 from negopipe.simulation.build_road import build_road
 from negopipe.simulation.map_config import read_map
 from negopipe.simulation.map_road import drivable_part, map_rules
@@ -136,14 +137,15 @@ def steps_between(nodes: dict[float, float]) -> tuple[float, list[WidthChange]]:
     return at[0][1], changes
 
 
-def fit_corridor(part: Part) -> dict[str, object]:
+def fit_corridor(part: Part) -> dict[str, Any]:
     """Sizes of the corridor: its length and gap, sides, number and size of the parked cars."""
     street, (first, last) = part.street, part.narrow
     at, d, _, length, width = street.parked.T
     cars = is_on_road(street) & (np.abs(at + part.sigma[0]) <= last)
     sides = sorted({"left" if offset > 0 else "right" for offset in d[cars]})
     inside = np.abs(part.sigma) <= last
-    gap_m, kerbs_m = (sum(two)[inside] for two in (free_sides(street), (street.left_m, street.right_m)))
+    free_left_m, free_right_m = free_sides(street)
+    gap_m, kerbs_m = (free_left_m + free_right_m)[inside], (street.left_m + street.right_m)[inside]
     room_m = (kerbs_m.mean() - gap_m.min()) / len(sides)
     sizes = {
         "corridor_length_m": last - first,
@@ -163,7 +165,8 @@ def fit_bays(part: Part, car: tuple[float, float]) -> list[Bay]:
     street = part.street
     beside = street.parked[~is_on_road(street)]
     bays = []
-    for sign, side in ((1, "left"), (-1, "right")):
+    sides: tuple[tuple[int, BaySide], ...] = ((1, "left"), (-1, "right"))
+    for sign, side in sides:
         at, d, yaw, length, width = beside[beside[:, 1] * sign > 0].T
         across = np.abs(np.sin(yaw)) > 0.5
         half, deep = np.where(across, width, length) / 2, np.where(across, length, width) / 2
@@ -175,8 +178,8 @@ def fit_bays(part: Part, car: tuple[float, float]) -> list[Bay]:
             is_beside = (part.sigma >= first) & (part.sigma <= last)
             kerb = (street.left_m if sign > 0 else street.right_m)[is_beside].max()
             gap_m = max(float((sign * d - deep)[row].mean() - kerb), 0.0)
-            sizes = (round(float(size), 2) for size in (middle - length_m / 2, length_m, gap_m))
-            bays.append(Bay(side, *sizes, is_across=bool(across[row[0]]), n_parked=len(row)))
+            start_m, length_m, gap_m = (round(float(size), 2) for size in (middle - length_m / 2, length_m, gap_m))
+            bays.append(Bay(side, start_m, length_m, gap_m, bool(across[row[0]]), len(row)))
     return sorted(bays, key=lambda bay: bay.start_m)
 
 
@@ -207,9 +210,13 @@ def deviations(road: Road, part: Part) -> tuple[float, float]:
 def fitted(scenario: ScenarioConfig, part: Part, n_bends: int) -> RoadConfig:
     """The road of a scenario of a map in sizes; a lane's middle is a quarter of the mean width from the line."""
     corridor, (width_m, changes) = fit_corridor(part), fit_width(part)
-    car = (float(str(corridor["parked_car_length_m"])), float(str(corridor["parked_car_width_m"])))
-    lists = {"bends": fit_bends(part, n_bends), "width_changes": changes, "bays": fit_bays(part, car)}
-    items = {name: tuple(ITEMS[name](**vars(each)) for each in items) for name, items in lists.items()}
+    car = (corridor["parked_car_length_m"], corridor["parked_car_width_m"])
+    lists: dict[str, Sequence[Any]] = {
+        "bends": fit_bends(part, n_bends),
+        "width_changes": changes,
+        "bays": fit_bays(part, car),
+    }
+    items: dict[str, Any] = {name: tuple(ITEMS[name](**vars(each)) for each in items) for name, items in lists.items()}
     lane_m = round(float((part.street.left_m + part.street.right_m).mean()) / 4, 2)
     return replace(scenario.road, **items, **corridor, width_m=width_m, lane_offset_m=lane_m)
 

@@ -295,6 +295,8 @@ class RoadConfig:
             return item(*(number(getattr(each, field.name)) for field in fields(each)))
 
         drawn = {name: number(value) for name, value in self._sizes.items()}
-        lists = {name: tuple(one(item, each) for each in getattr(self, name)) for name, item in LISTS.items()}
+        lists: dict[str, Any] = {
+            name: tuple(one(item, each) for each in getattr(self, name)) for name, item in LISTS.items()
+        }
         seed = int(torch.randint(2**31, (), generator=generator)) if self.varies else 0
         return StreetConfig(**lists, **drawn, parked_seed=seed)
