@@ -1,7 +1,8 @@
 """The report stage: from the files of an evaluated run to figures, animations and report.html."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -67,14 +68,8 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     road = build_road(config.scenario)
     policy_traces = record_policies(config, tracked, traces)
     log.info("report: figures")
-    items = film_items(
-        config.report,
-        films,
-        traces,
-        lambda street: scene_of(road, street, config.planner.horizon_s),
-        policy_traces,
-        fixed_s,
-    )
+    scene = partial(scene_of, road, plan_s=config.planner.horizon_s)
+    items = film_items(config.report, films, traces, scene, policy_traces, fixed_s)
     opening, others = (items[0], items[1:]) if items else (None, [])
     sections = [
         planners_section(drawings, table, unseen_distances(config), fixed_s),
@@ -92,12 +87,17 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     origin = provenance(config.seed, tracked)
     page = build_page(title, verdicts, chapters(results, fixed_s), tested, sections, origin, opening)
     (tracked.folder / "report.html").write_text(page, encoding="utf-8")
-    for writer in (drawings, films):
+    _log(tracked, (drawings, films))
+    _log_tables(tracked, metrics, table)
+    log.info("report: %s", tracked.folder / "report.html")
+
+
+def _log(tracked: "TrackedRun", writers: Iterable[FigureWriter]) -> None:
+    """Log figures, animations and the page as artifacts."""
+    for writer in writers:
         if any(writer.folder.iterdir()):
             tracked.log_artifact(writer.folder, writer.folder.name)
     tracked.log_artifact(tracked.folder / "report.html")
-    _log_tables(tracked, metrics, table)
-    log.info("report: %s", tracked.folder / "report.html")
 
 
 def record_policies(
