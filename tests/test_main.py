@@ -74,7 +74,7 @@ def test_help_names_the_experiments_and_needs_no_torch() -> None:
         (["+experiment=nope"], "experiment must be one of "),
         (
             ["scenario=nope"],
-            "scenario must be one of bent_street, commonroad, lanelet2, long_corridor, narrow_lane, ",
+            "scenario must be one of bent_street, commonroad, karlsruhe, lanelet2, long_corridor, narrow_lane, ",
         ),
         (["planner=3"], "Config group override must be a string or a list. Got int, got planner=3"),
         (["seed=[1"], "seed=[1 cannot be read: "),

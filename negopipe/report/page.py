@@ -153,6 +153,7 @@ def build_page(
         sections=sections,
         provenance=provenance,
         opening=opening,
+        has_films=opening is not None or any(item.still for section in sections for item in section.items),
         fastest_s=OPENING_S,
         n_beside=N_BESIDE,
     )
