@@ -10,6 +10,7 @@ from negopipe.planner.parked_rows import NO_ROW, parked_rows
 from negopipe.simulation.geometry import Size
 from negopipe.simulation.road import Road
 from negopipe.simulation.sizes import Sizes
+from negopipe.tensors.materialize import materialize
 
 
 class ParkedRow(NamedTuple):
@@ -70,7 +71,9 @@ class Roadside:
 
     def rows(self, direction: Tensor) -> list[ParkedRow]:
         """The rows of the street of each vehicle; direction: [N]."""
-        rows = self.road.pick(self._rows, direction)  # [N, P, 4]
+        rows = self.road.pick(self._rows, direction)  # [N, P, 4], of one street [P, 4]
+        if rows.dim() == 3:
+            rows = torch.stack(materialize(*rows.flatten(1).unbind(-1))).unflatten(0, (-1, 4)).movedim(-1, 0)
         return [ParkedRow(*row.unbind(-1)) for row in rows.unbind(-2)]
 
     def _over_kerb(self, s: Tensor, direction: Tensor, d: Tensor, d_prime: Tensor, half: Half) -> Tensor:

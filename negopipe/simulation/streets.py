@@ -127,7 +127,8 @@ class Streets(Road):
         row = 2 * self._street(direction)
         (right, right_slope), ahead = kerbs.at(row, sigma)
         (left, left_slope), _ = kerbs.at(row + 1, sigma)
-        return right + ahead * right_slope, left + ahead * left_slope
+        right, left = materialize(right + ahead * right_slope, left + ahead * left_slope)
+        return right, left
 
     def _street(self, direction: Tensor) -> Tensor:
         """[...] int64: index of the street."""
