@@ -16,6 +16,7 @@ from negopipe.planner.situation import Situation
 from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.simulation.road import Road
 from negopipe.simulation.sizes import Sizes
+from negopipe.tensors.materialize import materialize
 
 
 class Blocked(NamedTuple):
@@ -34,6 +35,16 @@ class Blocked(NamedTuple):
     def free_m(self) -> Tensor:
         """[N] m: distance to the first place that is ever blocked ahead, on the path on which it is the farthest."""
         return torch.where(self.last > 0, self.first, torch.inf).amin((1, 2)).amax(0)
+
+
+class _Footprints(NamedTuple):
+    """Predicted footprints with their clearances, in the viewer's route frame; fields [O, T, N], m and 1."""
+
+    s: Tensor
+    d: Tensor
+    tan_heading: Tensor
+    half_length: Tensor
+    half_width: Tensor
 
 
 class ConflictCheck:
@@ -61,23 +72,24 @@ class ConflictCheck:
         """Depth of overlap [L, K, O, T, N] (m) at the places around predicted vehicles, and the distances travelled
         [K, O, T, N] (m) to the places.
         """
-        size, other_size, clearance = now.size, now.others.size_at_times, self.clearance
-        around = self.around[:, None, None, None]  # [K, O, T, N]
-        at = predicted.s - now.route.s + around
+        size, other, around = now.size, self._footprints(now, predicted), self.around[:, None, None, None]  # [K, O, T, N]
+        at = other.s - now.route.s + around
         d, d_prime, _ = self.lateral.follow(coefficients, now.route.s, now.direction, at)
-        frame = (predicted.s, now.direction, around)
-        u, v, tan_heading = self.road.in_tangent_frame(*frame, d, d_prime)  # [L, K, O, T, N]
-        cos, other_cos = torch.rsqrt(1 + tan_heading**2), torch.rsqrt(1 + predicted.tan_heading**2)
+        u, v, tan_heading = self.road.in_tangent_frame(other.s, now.direction, around, d, d_prime)  # [L, K, O, T, N]
+        cos, other_cos = torch.rsqrt(1 + tan_heading**2), torch.rsqrt(1 + other.tan_heading**2)
         own = Boxes(u, v, cos, tan_heading * cos, size.length / 2, size.width / 2)
-        other = Boxes(
-            torch.zeros_like(predicted.d),
-            predicted.d,
-            other_cos,
-            predicted.tan_heading * other_cos,
-            other_size.length / 2 + clearance.ahead_m,
-            other_size.width / 2 + clearance.beside_m + clearance.beside_s * now.others.speed.abs()[:, None],
-        )
-        return overlap_depth(own, other), at
+        x, sin = torch.zeros_like(other.d), other.tan_heading * other_cos
+        other_box = Boxes(x, other.d, other_cos, sin, other.half_length, other.half_width)
+        return overlap_depth(own, other_box), at
+
+    def _footprints(self, now: Situation, predicted: PredictedPath) -> "_Footprints":
+        size, clearance = now.others.size_at_times, self.clearance
+        half_length = size.length / 2 + clearance.ahead_m
+        half_width = size.width / 2 + clearance.beside_m + clearance.beside_s * now.others.speed.abs()[:, None]
+        fields = (*predicted, half_length, half_width)
+        like = predicted.s
+        stored = (each.expand_as(like) if isinstance(each, Tensor) else torch.full_like(like, each) for each in fields)
+        return _Footprints(*materialize(*stored))  # the innermost loop reads them
 
     def blocked(self, depth: Tensor, at: Tensor, is_considered: Tensor) -> Blocked:
         """Stretch that is blocked by depths and distances of `depth`.
