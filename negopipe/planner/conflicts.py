@@ -72,7 +72,8 @@ class ConflictCheck:
         """Depth of overlap [L, K, O, T, N] (m) at the places around predicted vehicles, and the distances travelled
         [K, O, T, N] (m) to the places.
         """
-        size, other, around = now.size, self._footprints(now, predicted), self.around[:, None, None, None]  # [K, O, T, N]
+        size, other = now.size, self._footprints(now, predicted)
+        around = self.around[:, None, None, None]  # [K, O, T, N]
         at = other.s - now.route.s + around
         d, d_prime, _ = self.lateral.follow(coefficients, now.route.s, now.direction, at)
         u, v, tan_heading = self.road.in_tangent_frame(other.s, now.direction, around, d, d_prime)  # [L, K, O, T, N]
