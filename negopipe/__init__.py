@@ -3,6 +3,7 @@
 The map, lowest first: a package imports only what stands above it here, and itself.
 
     errors        the error that is the user's to mend
+    lazy_face     the public names of a package, imported at their first use
     checks        what a component says of its own values: problems, memory
     environment   environment variables and the user's home
     schema        how a component declares its configuration
@@ -42,11 +43,11 @@ One iteration
     the stage's task distribution -> collect -> advantages -> the algorithm's update -> log -> (stage's end) checkpoint
 """
 
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from negopipe.envs.registration import register_with_gymnasium
+from negopipe.lazy_face import lazy_face
 
 if TYPE_CHECKING:
     from negopipe.config.compose import load_config
@@ -62,22 +63,17 @@ CONF = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / 
 """The configs: inside the package in a wheel, beside it in a checkout."""
 
 if not TYPE_CHECKING:  # a type checker must not take every name for one of this package
-    _MODULES = {
-        "load_config": "negopipe.config.compose",
-        "load_policy": "negopipe.runtime.build",
-        "make_env": "negopipe.envs.gymnasium",
-        "make_parallel_env": "negopipe.envs.pettingzoo",
-        "make_vec_env": "negopipe.envs.gymnasium",
-    }
-
-    def __getattr__(name):
-        """A function of the public face, imported at its first use: torch and Hydra take seconds (PEP 562)."""
-        if name not in _MODULES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(_MODULES[name]), name)
-
-    def __dir__():
-        return sorted({*globals(), *__all__})
+    # imported at their first use: torch and Hydra take seconds
+    __getattr__, __dir__ = lazy_face(
+        __name__,
+        {
+            "load_config": "negopipe.config.compose",
+            "load_policy": "negopipe.runtime.build",
+            "make_env": "negopipe.envs.gymnasium",
+            "make_parallel_env": "negopipe.envs.pettingzoo",
+            "make_vec_env": "negopipe.envs.gymnasium",
+        },
+    )
 
 
 register_with_gymnasium()

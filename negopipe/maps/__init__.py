@@ -14,8 +14,9 @@ lanelets      those of a CommonRoad scenario as they are written again
 recording     drives written as a CommonRoad scenario (2020a), and read again
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from negopipe.lazy_face import lazy_face
 
 if TYPE_CHECKING:
     from negopipe.maps.commonroad import read_commonroad
@@ -40,22 +41,20 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # a type checker must not take every name for one of this package
-    _MODULES = {
-        "KerbsideRow": "parking",
-        "MapStreet": "street",
-        "Parking": "parking",
-        "Side": "parking",
-        "Trajectory": "recording",
-        "free_sides": "street",
-        "read_commonroad": "commonroad",
-        "read_lanelet2": "lanelet2",
-        "read_lanelets": "lanelets",
-        "read_trajectories": "recording",
-        "write_commonroad": "recording",
-    }
-
-    def __getattr__(name):
-        """A name of the face, imported at its first use: a vehicle's runtime has NumPy alone, no pydantic (PEP 562)."""
-        if name not in _MODULES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    # imported at their first use: a vehicle's runtime has NumPy alone, no pydantic
+    __getattr__, __dir__ = lazy_face(
+        __name__,
+        {
+            "KerbsideRow": "negopipe.maps.parking",
+            "MapStreet": "negopipe.maps.street",
+            "Parking": "negopipe.maps.parking",
+            "Side": "negopipe.maps.parking",
+            "Trajectory": "negopipe.maps.recording",
+            "free_sides": "negopipe.maps.street",
+            "read_commonroad": "negopipe.maps.commonroad",
+            "read_lanelet2": "negopipe.maps.lanelet2",
+            "read_lanelets": "negopipe.maps.lanelets",
+            "read_trajectories": "negopipe.maps.recording",
+            "write_commonroad": "negopipe.maps.recording",
+        },
+    )
