@@ -168,6 +168,9 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
     yield from config.dynamics.check(dt_s)
     yield from check_policy(config.policy, config.observation.layout, dt_s, foresight)
     yield from scenario.check(foresight)
+    if scenario.absent_queue_share > 0 and config.perception.range_m is None:
+        rule = "be a number where scenario.absent_queue_share > 0, so that nobody sees who is absent"
+        yield Problem("perception.range_m", rule, None)
     remembered_s = config.observation.history_steps(dt_s) * dt_s - config.perception.accel_window_s
     yield from config.population.check(dt_s, foresight, max(0.0, remembered_s))
     for stage in sorted(WITHOUT_POLICY & stages):

@@ -128,8 +128,8 @@ class NegotiationEnv:
         return self.world.task.direction.shape[1] if len(self._learners) else 1
 
     def _drives_as_learner(self, world: World) -> Tensor:
-        """[E, V] bool: a learner drives the social vehicle, which has not collided."""
-        return torch.isin(world.task.casting.driver, self._learners) & ~world.has_collided
+        """[E, V] bool: a learner drives the social vehicle, which takes part and has not collided."""
+        return torch.isin(world.task.casting.driver, self._learners) & ~world.has_collided & world.task.is_present
 
     def _seen(self, world: World, by_egos: Tensor) -> Tensor:
         """[A, *obs]: observations of all agents of E worlds, from those of the egos [E, *obs]."""

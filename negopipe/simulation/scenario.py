@@ -14,6 +14,7 @@ from negopipe.checks import Foresight, Problem, check_horizons
 from negopipe.errors import UserError
 from negopipe.schema import (
     FileName,
+    Fraction,
     Horizon,
     Interval,
     NonNegativeInt,
@@ -29,7 +30,7 @@ from negopipe.simulation.map_config import MapConfig, read_map
 from negopipe.simulation.road_config import RoadConfig, StreetsConfig
 from negopipe.simulation.sizes import Sizes
 from negopipe.simulation.state import EGO, Casting, Task
-from negopipe.simulation.task_values import between, between_each, one_of, outside, queue, with_ego
+from negopipe.simulation.task_values import between, between_each, one_of, outside, queue, with_ego, without_absent
 from negopipe.simulation.vehicle_kinds import VehicleKinds, bounds, draw_kinds
 
 
@@ -123,6 +124,7 @@ class ScenarioConfig:
     episode_steps: PositiveInt
     n_social: PositiveInt
     n_followers: NonNegativeInt
+    absent_queue_share: Fraction
     social_spacing_m: SizeRange
     road: RoadConfig
     streets: StreetsConfig
@@ -317,10 +319,14 @@ class TaskSampler:
         )
         social = outside(tables.gaps[family], tables.distance[family], first) + oncoming
         followers = ego + behind_ego[:, 1:]
+        distance = without_absent(
+            torch.cat([ego, social, followers], dim=1),
+            *(noise_seed, scenario.absent_queue_share, scenario.n_social, scenario.n_followers),
+        )
         direction = -streets[:, None].expand(-1, n_vehicles).contiguous()
         direction[:, [EGO, *range(1 + scenario.n_social, n_vehicles)]] *= -1
         task = Task(
-            start_distance=torch.cat([ego, social, followers], dim=1),
+            start_distance=distance,
             start_speed=between(scenario.start_speed_mps, start),
             desired_speed=between(scenario.desired_speed_mps, desired),
             style_horizon=with_ego(torch.nan, one_of(tables.styles, tables.n_styles, family, style)),

@@ -31,6 +31,9 @@ NEAREST = 1
 NOBODY = -1
 """`Casting.driver` of a vehicle without a driver of the population: of the ego, and where tasks have no population."""
 
+ABSENT_M = 1000.0
+"""Distance behind a mouth, m, from which on a vehicle that starts there takes no part in an episode."""
+
 AT_REST_MPS = 0.1
 """A vehicle that is slower than this, forwards or backwards, is at rest (docs/reading.md, "suspend number")."""
 
@@ -113,6 +116,11 @@ class Task:
 
     def __len__(self) -> int:
         return self.family.shape[0]
+
+    @property
+    def is_present(self) -> Tensor:
+        """[E, V] bool: the vehicle takes part; absent ones have arrived long before, far away."""
+        return self.start_distance > -ABSENT_M
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,18 @@
 import torch
 from torch import Tensor
 
+from negopipe.simulation.state import ABSENT_M
 from negopipe.simulation.vehicle_kinds import bounds
 from negopipe.tensors.stateless_rng import mix, uniform
 
 QUEUE = 0x9E0E
 """Offset of the key from which the spacing of queues is drawn, apart from the other draws of an episode."""
+
+ABSENT_APART_M = 50.0
+"""Distance between absent vehicles, m."""
+
+ABSENCE = 0xAB5E
+"""Offset of the key from which the absence of queues is drawn, apart from the other draws of an episode."""
 
 
 def one_of(values: Tensor, n_values: Tensor, family: Tensor, share: Tensor) -> Tensor:
@@ -25,6 +32,24 @@ def queue(spacing_m: float | tuple[float, float], noise_seed: Tensor, n: int, ch
         return (vehicle * low).expand(len(noise_seed), -1)
     spacing = between((low, high), uniform(mix(mix(noise_seed)[:, None] + vehicle) + QUEUE, channel))
     return (spacing * (vehicle > 0)).cumsum(1)
+
+
+def without_absent(distance: Tensor, noise_seed: Tensor, share: float, n_social: int, n_followers: int) -> Tensor:
+    """Start distances [E, V] (m) in which the vehicles of absent queues stand far behind their targets.
+
+    A queue is what follows the first oncoming vehicle, or the ego. It is absent in the share of the tasks.
+    """
+    if share == 0:
+        return distance
+    queue_of = (
+        [-1, -1] + [0] * (n_social - 1) + [1] * n_followers
+    )  # the ego and the first oncoming one are always there
+    number = torch.tensor(queue_of, device=distance.device)
+    key = mix(noise_seed) + ABSENCE
+    is_absent = torch.stack([uniform(key, queue) for queue in range(2)], -1) < share
+    is_absent = is_absent[:, number.clamp(min=0)] & (number >= 0)
+    apart = torch.arange(len(queue_of), device=distance.device) * ABSENT_APART_M
+    return torch.where(is_absent, -ABSENT_M - apart, distance)
 
 
 def between(interval: tuple[float, float], share: Tensor) -> Tensor:

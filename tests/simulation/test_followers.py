@@ -16,6 +16,7 @@ from negopipe.evaluation.safety import avoidable_by
 from negopipe.evaluation.trace import OUTCOMES, Trace
 from negopipe.game.game import Game, build_game
 from negopipe.simulation.state import EGO
+from negopipe.tensors.tree import map_tensors
 
 
 def built(*overrides: str) -> tuple[RunConfig, Game]:
@@ -122,3 +123,47 @@ def test_the_ego_does_not_reverse_into_its_follower() -> None:
     assert (motion.state.speed[:, EGO] < 0).tolist() == [False, True, False]
     worlds = drive(game, world, torch.tensor([[6.0, 2.0, 0.0]]).expand(3, 3), 60)
     assert not worlds[-1].has_collided[:, [EGO, 2]].any()
+
+
+TRAFFIC = ("scenario.n_social=2", "scenario.n_followers=2", "planner=consistent_stops", "perception.range_m=60")
+
+
+def test_queues_are_absent_in_their_share_of_the_tasks_and_nothing_else_changes() -> None:
+    config, _ = built(*TRAFFIC, "scenario.absent_queue_share=0.25")
+    task, full = draw_tasks(config, 2000), draw_tasks(built(*TRAFFIC)[0], 2000)
+    is_there = task.is_present
+    assert is_there[:, :2].all()  # the ego and the first oncoming vehicle
+    assert (is_there[:, 3] == is_there[:, 4]).all()  # the followers together
+    oncoming, followers = (1 - is_there[:, i].float().mean() for i in (2, 3))
+    assert oncoming == pytest.approx(0.25, abs=0.04)
+    assert followers == pytest.approx(0.25, abs=0.04)
+    both = 1 - (is_there[:, 2] | is_there[:, 3]).float().mean()
+    assert both == pytest.approx(0.0625, abs=0.02)
+    assert torch.equal(task.start_distance[is_there], full.start_distance[is_there])
+    for drawn, same in ((task.desired_speed, full.desired_speed), (task.direction, full.direction)):
+        assert torch.equal(drawn, same)
+
+
+@pytest.mark.parametrize("street", ["scenario=narrow_lane", "scenario=bent_street"])
+def test_absent_vehicles_change_no_drive(street: str) -> None:
+    config, game = built(street, *TRAFFIC, "scenario.absent_queue_share=1.0")
+    _, few = built(street, "planner=consistent_stops", "perception.range_m=60")
+    task = draw_tasks(config, 8)
+    assert task.is_present.sum(1).tolist() == [2] * 8
+    alone = map_tensors(lambda field: field[:, :2] if field.dim() > 1 else field, task)
+    choice = torch.tensor([[0.0, 4.0, 6.0, 2.0, 0.0]]).expand(8, -1)
+    drives = drive(game, game.simulator.reset(task), choice, 40)
+    others = drive(few, few.simulator.reset(alone), choice[:, :2], 40)
+    for with_absent, without in zip(drives, others, strict=True):
+        assert torch.equal(with_absent.vehicles.position[:, :2], without.vehicles.position)
+        assert not with_absent.has_collided[:, 2:].any()
+    assert drives[1].has_reached[:, 2:].all()
+    success = game.simulator.step(drives[-1], drives[-1].vehicles)[1].is_success
+    assert torch.equal(success, few.simulator.step(others[-1], others[-1].vehicles)[1].is_success)
+
+
+def test_absent_vehicles_want_a_sensor_that_does_not_see_them() -> None:
+    with pytest.raises(
+        UserError, match=r"^perception\.range_m must be a number where scenario\.absent_queue_share > 0"
+    ):
+        compose_config(["scenario.n_followers=1", "scenario.absent_queue_share=0.5"])
