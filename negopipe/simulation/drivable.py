@@ -30,21 +30,54 @@ class RouteCheck(NamedTuple):
     curvature: Tensor
 
 
+class _Driven(NamedTuple):
+    """Vehicles on the routes of B streets at K places each, fields [2B, K]; boxes: grown footprints, world frame."""
+
+    s: Tensor
+    way: Tensor
+    boxes: Boxes
+    curvature: Tensor
+
+
 def check_routes(road: Streets, vehicle: Footprint, clearance_m: float) -> RouteCheck:
     """Both routes of every street, from end to end."""
+    driven = _driven(road, vehicle, clearance_m)
+    touches = _is_in_a_car(road, driven) | is_off_road_on_route(road, driven.boxes, driven.s, driven.way)
+    return RouteCheck(road.sigma(driven.s, driven.way), touches, driven.curvature)
+
+
+def is_drivable(road: Streets, vehicle: Footprint, clearance_m: float, curvature_max_1pm: float) -> Tensor:
+    """[B] bool: on both routes a vehicle keeps clear of kerbs and parked cars, and no bend is too sharp.
+
+    Kerbs take the most time, so they are checked only where nothing else is wrong with the street.
+    """
+    driven = _driven(road, vehicle, clearance_m)
+    is_bad = _is_in_a_car(road, driven) | (driven.curvature.abs() > curvature_max_1pm)
+    is_open = ~is_bad.unflatten(0, (-1, 2)).flatten(1).any(1)
+    left = is_open.repeat_interleave(2)
+    boxes = driven.boxes._replace(**{name: getattr(driven.boxes, name)[left] for name in ("x", "y", "cos", "sin")})
+    is_off = is_off_road_on_route(road, boxes, driven.s[left], driven.way[left])
+    is_open[is_open.clone()] = ~is_off.unflatten(0, (-1, 2)).flatten(1).any(1)
+    return is_open
+
+
+def _driven(road: Streets, vehicle: Footprint, clearance_m: float) -> _Driven:
     s = torch.arange(-road.reach_m, road.reach_m, STEP_M)
     way = road.ways[:, None].expand(-1, len(s))
     s = s + road.corridor_m(way) / 2
     zero = torch.zeros_like(s)
     on_route = road.to_world(RouteState(s, zero, zero, *road.route_offset(s, way)), way)
-    grown = 2 * clearance_m
     x, y = on_route.position.unbind(-1)
+    grown = 2 * clearance_m
     boxes = boxes_from_pose(x, y, on_route.yaw, vehicle.length_m + grown, vehicle.width_m + grown)
-    x, y, cos, sin = (field[..., None] for field in boxes[:4])
-    each = boxes._replace(x=x, y=y, cos=cos, sin=sin)
-    touches = (overlap_depth(each, road.parked_boxes(way)) > 0).any(-1)
-    touches |= is_off_road_on_route(road, boxes, s, way)
-    return RouteCheck(road.sigma(s, way), touches, on_route.curvature)
+    return _Driven(s, way, boxes, on_route.curvature)
+
+
+def _is_in_a_car(road: Streets, driven: _Driven) -> Tensor:
+    """[2B, K] bool: a footprint reaches into a parked car."""
+    x, y, cos, sin = (field[..., None] for field in driven.boxes[:4])
+    each = driven.boxes._replace(x=x, y=y, cos=cos, sin=sin)
+    return (overlap_depth(each, road.parked_boxes(driven.way)) > 0).any(-1)
 
 
 def is_off_road_on_route(road: Road, boxes: Boxes, s: Tensor, way: Tensor) -> Tensor:
@@ -68,9 +101,3 @@ def _kerb_excess(road: Road, boxes: Boxes, s: Tensor, way: Tensor) -> Tensor:
     reach = boxes.half_length * tan.abs() * cos + boxes.half_width * cos
     return road.kerb_excess(s, way, d, reach, kappa.abs() * boxes.half_length**2 / 2)
 
-
-def is_drivable(road: Streets, vehicle: Footprint, clearance_m: float, curvature_max_1pm: float) -> Tensor:
-    """[B] bool: on both routes a vehicle keeps clear of kerbs and parked cars, and no bend is too sharp."""
-    routes = check_routes(road, vehicle, clearance_m)
-    is_bad = routes.touches | (routes.curvature.abs() > curvature_max_1pm)
-    return ~is_bad.unflatten(0, (-1, 2)).flatten(1).any(1)

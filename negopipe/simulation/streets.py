@@ -60,7 +60,7 @@ class Streets(Road):
         self._target = self._tensor([length + street.target_m for length, street in zip(lengths, streets, strict=True)])
         self.n_places = torch.tensor([len(street.narrow) for street in streets], device=self.device)
         self.narrow_places = self._tensor(_narrow_places(streets))
-        self.parked = box_rows(self._tensor(_padded([self._in_world(index) for index in range(len(streets))])))
+        self.parked = box_rows(self._tensor(_padded(self._parked_in_world())))
 
     @cached_property
     def off_road(self) -> Tensor:
@@ -134,12 +134,14 @@ class Streets(Road):
         """[...] int64: index of the street."""
         return direction.abs().long() - 1
 
-    def _in_world(self, index: int) -> np.ndarray:
-        """[P, 5]: x, y, yaw, length and width of the cars parked on a street, world frame."""
-        sigma, d, length, width = torch.tensor(self.streets[index].parked, dtype=torch.float32).unbind(-1)
-        line = BoundLine(self._lines, torch.full((len(sigma),), index, device=self.device))
-        x, y = (field.cpu() for field in line.place(sigma.to(self.device), d.to(self.device)))
-        return torch.stack([x, y, line.heading(sigma.to(self.device)).cpu(), length, width], -1).numpy()
+    def _parked_in_world(self) -> list[np.ndarray]:
+        """[P, 5] of every street: x, y, yaw, length and width of its parked cars, world frame."""
+        n_parked = [len(street.parked) for street in self.streets]
+        sigma, d, length, width = self._tensor(np.concatenate([street.parked for street in self.streets])).unbind(-1)
+        street = torch.arange(self.n_streets).repeat_interleave(torch.tensor(n_parked)).to(self.device)
+        line = BoundLine(self._lines, street)
+        cars = torch.stack([*line.place(sigma, d), line.heading(sigma), length, width], -1).cpu()
+        return [of_street.numpy() for of_street in cars.split(n_parked)]
 
     def _tensor(self, values: Sequence[float] | np.ndarray) -> Tensor:
         return torch.tensor(np.asarray(values), dtype=torch.float32, device=self.device)
