@@ -37,6 +37,7 @@ from negopipe.simulation.perception import PerceptionConfig
 from negopipe.simulation.scenario import Families, ScenarioConfig
 from negopipe.simulation.starts import check_starts
 from negopipe.simulation.state import world_memory
+from negopipe.tensors.torch_settings import one_thread
 from negopipe.tracking.store import TrackingConfig
 
 Stage = Literal[
@@ -146,6 +147,7 @@ MOST_BYTES = 2**34
 machine, so that a config is valid on every machine or on none."""
 
 
+@one_thread()
 def check_components(config: RunConfig) -> None:
     """Check the conditions on several values together; UserError names the first that does not hold."""
     for problem in _problems(config):

@@ -44,11 +44,7 @@ def draw_streets(scenario: ScenarioConfig) -> tuple[StreetConfig, ...]:
 def _footprints(scenario: ScenarioConfig) -> Footprints:
     """Of the ego and of the largest vehicle of every kind, without those that are within another one."""
     sizes = dict.fromkeys([scenario.vehicle, *scenario.largest_of_kinds.values()])
-    return tuple(size for size in sizes if not any(_is_within(size, other) for other in sizes if other != size))
-
-
-def _is_within(size: VehicleConfig, other: VehicleConfig) -> bool:
-    return size.length_m <= other.length_m and size.width_m <= other.width_m
+    return tuple(size for size in sizes if not any(size.is_within(other) for other in sizes if other != size))
 
 
 @lru_cache(maxsize=4)  # a config's check and its game need the same road

@@ -100,4 +100,3 @@ def _kerb_excess(road: Road, boxes: Boxes, s: Tensor, way: Tensor) -> Tensor:
     cos = torch.rsqrt(1 + tan**2)
     reach = boxes.half_length * tan.abs() * cos + boxes.half_width * cos
     return road.kerb_excess(s, way, d, reach, kappa.abs() * boxes.half_length**2 / 2)
-

@@ -41,6 +41,9 @@ class VehicleConfig:
     length_m: PositiveMetres
     width_m: PositiveMetres
 
+    def is_within(self, other: "VehicleConfig") -> bool:
+        return self.length_m <= other.length_m and self.width_m <= other.width_m
+
 
 Styles = Annotated[list[Horizon], Field(min_length=1)]
 """Prediction horizons of a social vehicle's planner, s."""

@@ -68,10 +68,16 @@ class _Starts:
                 yield Problem(f"{key}.width_m", f"be at most scenario.road.corridor_gap_m = {gap_m}", width_m)
 
     def check_kinds(self, farthest_m: float) -> Iterator[Problem]:
-        """The largest vehicle of every kind gets from its start to its target along both routes."""
+        """The largest vehicle of every kind gets from its start to its target along both routes.
+
+        A kind that is within another one needs no check of its own.
+        """
         last_m = float(torch.as_tensor(self.road.target_s(self._number)).max())
         s = torch.arange(-farthest_m, last_m, STEP_M)
-        for name, kind in self.scenario.largest_of_kinds.items():
+        kinds = self.scenario.largest_of_kinds
+        for name, kind in kinds.items():
+            if any(kind != other and kind.is_within(other) for other in kinds.values()):
+                continue
             size = Size(kind.length_m, kind.width_m)
             touches = torch.stack([self._touches(-s, way, size) for way in ON_BOTH])
             if touches.any():
