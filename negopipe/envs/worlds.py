@@ -174,4 +174,4 @@ class Worlds:
 
 def shown(observation: Tensor) -> np.ndarray:
     """Grids of 0 and 255 from grids of 0 and 1; rows of numbers are shown as they are, copied."""
-    return (observation * (OCCUPIED if observation.dtype == torch.uint8 else 1)).numpy()
+    return observation.numpy() * (OCCUPIED if observation.dtype == torch.uint8 else 1)  # NumPy starts no threads

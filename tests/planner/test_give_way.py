@@ -1,6 +1,7 @@
 """An infinite horizon: who gives way enters the passage only if it is out before the other could be in, or after it."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game, build_game
-from negopipe.simulation.state import EGO, World
+from negopipe.simulation.state import EGO, Motion, World
 from negopipe.tensors.tree import map_tensors
 
 INF = math.inf
@@ -104,21 +105,30 @@ def test_finite_horizons_know_no_rule(narrow: tuple[RunConfig, Game]) -> None:
         world, _ = game.simulator.step(world, motion.state)
 
 
-def test_a_batch_equals_single_worlds_and_compiled_equals_eager(narrow: tuple[RunConfig, Game]) -> None:
+def test_a_batch_equals_single_worlds(narrow: tuple[RunConfig, Game]) -> None:
+    def alone(world: World, horizon: Tensor) -> tuple[Motion, int]:
+        return narrow[1].plan(narrow[1].perceive(map_tensors(lambda f: f[5:6], world)), horizon[5:6]), 5
+
+    compare_drives(narrow, alone)
+
+
+@pytest.mark.slow
+def test_compiled_equals_eager(narrow: tuple[RunConfig, Game]) -> None:
+    compiled = build_game(narrow[0], "cpu", is_compiled=True)
+    compare_drives(narrow, lambda world, horizon: (compiled.plan(compiled.perceive(world), horizon), None))
+
+
+def compare_drives(narrow: tuple[RunConfig, Game], other: Callable[[World, Tensor], tuple[Motion, int | None]]) -> None:
+    """Plans of a batch agree with those of `other`, which may be of one of its worlds alone."""
     config, game = narrow
-    compiled = build_game(config, "cpu", is_compiled=True)
     world, horizon = game.simulator.reset(draw_tasks(config, 8)), torch.tensor([[INF, 2.0], [4.0, INF]]).repeat(4, 1)
     for step in range(24):
         together = game.plan(game.perceive(world), horizon)
         if step % 6 == 0:
-            alone = game.plan(game.perceive(map_tensors(lambda f: f[5:6], world)), horizon[5:6])
-            rows = [
-                (alone, map_tensors(lambda f: f[5:6], together)),
-                (compiled.plan(game.perceive(world), horizon), together),
-            ]
-            for a, b in rows:
-                states = (a.state, b.state)
-                map_tensors(lambda x, y: torch.testing.assert_close(x, y, atol=1e-4, rtol=1e-4) or x, *states)
+            motion, of = other(world, horizon)
+            same = together if of is None else map_tensors(lambda f, i=of: f[i : i + 1], together)
+            states = (motion.state, same.state)
+            map_tensors(lambda x, y: torch.testing.assert_close(x, y, atol=1e-4, rtol=1e-4) or x, *states)
         world, _ = game.simulator.step(world, together.state)
 
 

@@ -44,7 +44,9 @@ def test_every_quantity_has_its_unit(
         assert all(re.search(r"\[.+\]", axis.get_title(loc="left")) for axis in figure.axes)
 
 
-@pytest.mark.parametrize("name", DRAWINGS)
+@pytest.mark.parametrize(
+    "name", [name if name == "comparison" else pytest.param(name, marks=pytest.mark.slow) for name in DRAWINGS]
+)
 def test_the_same_data_give_the_same_bytes(
     name: str, traces: list[Trace], table: pd.DataFrame, history: pd.DataFrame
 ) -> None:

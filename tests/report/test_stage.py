@@ -152,7 +152,10 @@ CASES: list[tuple[str, dict[str, tuple[str, float | None]]]] = [
 """A setting; which planner is there, what it is called, and the horizon that it keeps to, if any."""
 
 
-@pytest.mark.parametrize(("setting", "planners"), CASES)
+@pytest.mark.parametrize(
+    ("setting", "planners"),
+    [case if case[0] == "12" else pytest.param(*case, marks=pytest.mark.slow) for case in CASES],
+)
 def test_any_planners_of_any_name_make_a_report(
     run: RecordedRun, traces: list[Trace], table: pd.DataFrame, setting: str, planners: dict
 ) -> None:

@@ -62,7 +62,7 @@ def test_success_is_that_the_followers_have_arrived_too() -> None:
     assert events.is_success
 
 
-@pytest.mark.parametrize("planner", ["consistent_stops", "reversing"])
+@pytest.mark.parametrize("planner", ["consistent_stops", pytest.param("reversing", marks=pytest.mark.slow)])
 def test_followers_get_through_behind_an_ego_that_waits(planner: str) -> None:
     config, game = built("scenario.n_followers=2", f"planner={planner}")
     tasks = draw_tasks(config, 8)

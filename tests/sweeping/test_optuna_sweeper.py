@@ -245,6 +245,7 @@ def test_trials_of_one_study_are_comparable(search: Search) -> None:
             search(*overrides)
 
 
+@pytest.mark.slow
 def test_a_study_belongs_to_its_code(search: Search, monkeypatch: pytest.MonkeyPatch) -> None:
     needs_optuna()
     search(RATE, "hydra.sweeper.n_trials=1")

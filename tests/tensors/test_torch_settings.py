@@ -88,6 +88,10 @@ STATES = {
 }
 
 
+MAIN_STATES = {"float64", "with_meta", "inference", "autocast", "random", "errors"}
+"""One of each kind; the fast tests try these."""
+
+
 def drive(build: AbstractContextManager, step: AbstractContextManager) -> list[np.ndarray]:
     """What three worlds show and pay in a fixed drive in which episodes end, which draws tasks."""
     actions = np.random.default_rng(2).integers(0, 4, (9, 3))
@@ -107,7 +111,9 @@ def expected() -> list[np.ndarray]:
     return drive(nullcontext(), nullcontext())
 
 
-@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize(
+    "state", [name if name in MAIN_STATES else pytest.param(name, marks=pytest.mark.slow) for name in STATES]
+)
 def test_the_state_of_the_process_does_not_matter(state: str, expected: list[np.ndarray]) -> None:
     change = STATES[state]
     for shown in (drive(change(), nullcontext()), drive(nullcontext(), change())):
