@@ -8,6 +8,7 @@ from importlib.metadata import version
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from negopipe.agents.driver import Driver
 from negopipe.config.root import as_mapping
@@ -33,8 +34,9 @@ class LiveEncounter:
     frames: one per state, the first before any decision. step: decisions until then; time_s; vehicles: x, y (m), yaw
         (rad), speed (m/s) of each in the world, the ego first, the person second; horizon: of the ego's last plan, as
         text, or null; probability: of each horizon at that decision, or []; plan: places x, y (m) of the ego's last
-        plan, one per control step from this state on, or [] where it follows none; is_full_braking, intervention: of
-        the ego; command: of the person; outcome: of the encounter where it is over, else null
+        plan, one per control step from this state on, or [] where there is none or a second person drives;
+        is_full_braking, intervention: of the ego; command: of the person; outcome: of the encounter where it is over,
+        else null
     """
 
     def __init__(self, arena: Arena, control: str, seed: int) -> None:
@@ -89,7 +91,7 @@ class LiveEncounter:
         decision = {
             "horizon": None if math.isnan(horizon_s) else horizon_text(horizon_s),
             "probability": [] if self._chooser is None else self._chooser.probability,
-            "plan": [] if math.isnan(horizon_s) or intervention.any() else self._plan(before, horizon_s),
+            "plan": self._plan(before, horizon_s) if self._follows_plan(horizon_s, intervention) else [],
             "is_full_braking": bool(motion.is_full_braking[0, EGO]),
             "intervention": INTERVENTIONS[int(intervention[0])],
             "command": command,
@@ -113,6 +115,10 @@ class LiveEncounter:
             raise UserError(f"step must be asked for before the encounter is over, got {len(self.commands)}")
         for _, value, kept in given:
             kept.append(value)
+
+    def _follows_plan(self, horizon_s: float, intervention: Tensor) -> bool:
+        """Whether the page may show a plan that is driven; two people before one page shall see the same."""
+        return self.opponent_commands is None and not math.isnan(horizon_s) and not intervention.any()
 
     def _plan(self, world: World, horizon_s: float) -> list[list[float]]:
         """Places of the ego's plan from a state on, in the world (m)."""

@@ -201,7 +201,7 @@ function over() {
   const last = game.frames.at(-1), {result} = game, row = result?.row;
   const [own, other] = game.shown.has_second_person ? ["the dark car", "the teal car"] : ["you", "the opponent"];
   const first = {social: `${own} went first`, ego: `${other} went first`}[row?.passes_first];
-  const time = row?.social_time_s != null ? `${row.social_time_s.toFixed(1)} s` : `${last.time_s.toFixed(1)} s`;
+  const time = row?.social_time_s != null && !game.shown.has_second_person ? `${row.social_time_s.toFixed(1)} s` : `${last.time_s.toFixed(1)} s`;
   const what = {success: first ? `Passed: ${first}` : "Passed", collision: "Crash", deadlock: "Stuck, nose to nose",
     timeout: "Out of time", social_collision: "Crash"}[last.outcome];
   const gap = row && last.outcome === "success" ? `, smallest gap ${row.smallest_gap_m.toFixed(1)} m` : "";

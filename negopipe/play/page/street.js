@@ -223,7 +223,8 @@ class StreetView {
     if (!this.shown) return;
     if (this.picture) this.pen.drawImage(this.picture, 0, 0); else this.drawStreet(moment.vehicles);
     const {pen, colors, shown} = this, {person, opponent} = shown.vehicle;
-    const horizon = moment.horizon === null || moment.outcome ? null : Number(moment.horizon === "inf" ? Infinity : moment.horizon);
+    const is_hidden = moment.horizon === null || moment.outcome || shown.has_second_person;  // two people see the same
+    const horizon = is_hidden ? null : Number(moment.horizon === "inf" ? Infinity : moment.horizon);
     if (horizon) {
       pen.globalAlpha = 0.6;
       moment.vehicles.forEach((vehicle, i) => {
