@@ -16,7 +16,7 @@ FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--remote-debugging-pipe"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
-KEYS = {"ArrowUp": 38, "ArrowDown": 40, "Space": 32, "KeyW": 87}
+KEYS = {"ArrowUp": 38, "ArrowDown": 40, "Space": 32, "KeyS": 83, "KeyW": 87}
 """Codes of keys -> their numbers."""
 
 

@@ -122,7 +122,11 @@ def test_a_wrong_figure_is_found() -> None:
 @pytest.mark.parametrize(("page", "program"), PROGRAMS, ids=[named(page) for page, _ in PROGRAMS])
 def test_python_of_a_page_runs(page: Path, program: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Blocks that import something; others are excerpts."""
-    for module, word in {"stable_baselines3": "stable_baselines3", "pettingzoo": "make_parallel_env"}.items():
+    for module, word in {
+        "stable_baselines3": "stable_baselines3",
+        "pettingzoo": "make_parallel_env",
+        "torchrl": "torchrl",
+    }.items():
         if word in program:
             pytest.importorskip(module)
     monkeypatch.chdir(ROOT)

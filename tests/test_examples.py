@@ -63,7 +63,16 @@ def test_an_own_street_is_filmed(tmp_path: Path) -> None:
 
 
 def test_one_policy_plays_both_sides() -> None:
-    pytest.importorskip("supersuit")
     pytest.importorskip("stable_baselines3")
-    returns = main_of("self_play")(64, n_worlds=2, n_steps=16, overrides=("scenario.episode_steps=12",))
-    assert len(returns) == 4
+    rows = list(main_of("self_play")(128, n_agents=4, n_steps=6, overrides=("scenario.episode_steps=12",)))
+    assert [(tasks, decisions, episodes) for tasks, decisions, _, episodes, _ in rows] == [
+        ("held", 0, 4), ("training", 96, 8), ("training", 192, 8), ("held", 192, 4),
+    ]  # fmt: skip
+    assert all(0 <= share <= 1 for *_, share in rows)
+
+
+def test_torchrl_trains() -> None:
+    pytest.importorskip("torchrl")
+    shares = list(main_of("torchrl_ppo")(64, n_worlds=2, n_steps=16, overrides=("scenario.episode_steps=12",)))
+    assert len(shares) == 2
+    assert all(0 <= share <= 1 for share in shares)

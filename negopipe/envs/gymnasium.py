@@ -34,6 +34,7 @@ from negopipe.envs.given_task import TASK
 from negopipe.envs.overrides import check_options, config_of, in_one_line
 from negopipe.envs.registration import ENV_ID
 from negopipe.envs.rendering import MODES, Camera, View, fps
+from negopipe.envs.self_play import self_play_config
 from negopipe.envs.worlds import MOST, Worlds, shown
 from negopipe.errors import UserError
 from negopipe.tensors.torch_settings import own_settings
@@ -52,14 +53,15 @@ def make_env(overrides: Sequence[str] = (), render_mode: str | None = None) -> g
 
 
 def make_vec_env(
-    num_envs: int, overrides: Sequence[str] = (), render_mode: str | None = None
+    num_envs: int, overrides: Sequence[str] = (), render_mode: str | None = None, is_self_play: bool = False
 ) -> gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
     """`num_envs` worlds in one batched program, `NarrowLaneVectorEnv`, made by `gymnasium.make_vec`.
 
     overrides: as for `make_env`
     render_mode: None or rgb_array
+    is_self_play: every vehicle of a world is one of the `num_envs` environments
     """
-    given: dict[str, Any] = {"overrides": overrides, "render_mode": render_mode}
+    given: dict[str, Any] = {"overrides": overrides, "render_mode": render_mode, "is_self_play": is_self_play}
     return gymnasium.make_vec(ENV_ID, num_envs=num_envs, vectorization_mode="vector_entry_point", **given)
 
 
@@ -119,8 +121,11 @@ class NarrowLaneEnv(gymnasium.Env[np.ndarray, np.int64]):
 class NarrowLaneVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """E worlds in one batched program, with autoreset in the same step and final observations in `info`.
 
-    num_envs: number of worlds, E
-    overrides, preset: as for `NarrowLaneEnv`
+    An environment is a world, or in self-play a vehicle of a world, which observes and is paid as an agent of
+    `negopipe.envs.pettingzoo`: environment v E + e is vehicle v of world e. One whose vehicle has collided sees zeros
+    and is paid nothing until the others' episode is over.
+    num_envs: number of environments, E or V E
+    overrides, preset: as for `NarrowLaneEnv`; in self-play nothing of the population
     render_mode: None; rgb_array = `render` returns a picture of every world
     max_episode_steps: gymnasium's name of a time limit below `scenario.episode_steps`; None = there is none
     """
@@ -129,6 +134,8 @@ class NarrowLaneVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.
         "render_modes": ["rgb_array"],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
+    autoreset_mode = AutoresetMode.SAME_STEP
+    """The same as gymnasium's own vector environments and TorchRL have it."""
 
     @own_settings()
     def __init__(
@@ -138,17 +145,21 @@ class NarrowLaneVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.
         render_mode: str | None = None,
         preset: Sequence[str] = (),
         max_episode_steps: int | None = None,
+        is_self_play: bool = False,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise UserError(f"render_mode must be rgb_array or None, got {in_one_line(render_mode)}")
         if type(num_envs) is not int or num_envs < 1:
             raise UserError(f"num_envs must be an integer from 1, got {in_one_line(num_envs)}")
-        config = config_of(overrides, preset)
+        config = (self_play_config if is_self_play else config_of)(overrides, preset)
         if max_episode_steps is not None:
             n_steps = min(config.scenario.episode_steps, max_episode_steps)
             config = replace(config, scenario=replace(config.scenario, episode_steps=n_steps))
+        n_agents = config.scenario.n_vehicles if is_self_play else 1
+        if num_envs % n_agents:
+            raise UserError(f"num_envs must be a multiple of the {n_agents} vehicles of a world, got {num_envs}")
         self.num_envs, self.render_mode = num_envs, render_mode
-        self._worlds = Worlds(config, num_envs)
+        self._worlds = Worlds(config, num_envs // n_agents, is_self_play)
         self.metadata = {**self.metadata, "render_fps": fps(self._worlds)}
         spaces = self._worlds.spaces()
         self.single_observation_space, self.single_action_space = spaces
@@ -163,11 +174,11 @@ class NarrowLaneVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.
 
         seed: of world 0, those of the others follow; or a list with one for each, None = its stream goes on
         options: `{"task": {...}}` as for one world; `{"reset_mask": [E] bool array}` starts new tasks in those worlds
-            only
+            only, not in self-play
         """
-        check_options(options, TASK, RESET_MASK)
+        check_options(options, TASK, *(() if self._worlds.is_self_play else (RESET_MASK,)))
         options = options or {}
-        which = self._chosen(options[RESET_MASK]) if RESET_MASK in options else list(range(self.num_envs))
+        which = self._chosen(options[RESET_MASK]) if RESET_MASK in options else list(range(self._worlds.n_worlds))
         seeds = self._streams(seed)
         super().reset(seed=seed if isinstance(seed, int) else None)
         self._worlds.restart(which, [seeds[world] for world in which], options.get(TASK))
@@ -176,12 +187,15 @@ class NarrowLaneVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Drive for one control step; `actions` [E] are integers of the action space."""
+        is_driving = self._worlds.is_driving()
         reached = self._worlds.step(actions)
         terminated, truncated = reached.is_terminated.numpy(), reached.is_truncated.numpy()
         info: dict[str, Any] = {}
-        for (world, end), final in zip(self._worlds.ended.items(), shown(reached.final_observation), strict=True):
-            info = self._add_info(info, {"final_obs": final, "final_info": end.info}, world)
-        reward = reached.reward.numpy().astype(np.float64)
+        over = (terminated | truncated).nonzero()[0].tolist()
+        for env, final in zip(over, shown(reached.final_observation), strict=True):
+            end = self._worlds.ended.get(env % self._worlds.n_worlds)  # None: the vehicle alone has collided
+            info = self._add_info(info, {"final_obs": final, "final_info": {} if end is None else end.info}, env)
+        reward = np.where(is_driving, reached.reward.numpy(), 0.0).astype(np.float64)
         return shown(reached.observation), reward, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -189,11 +203,11 @@ class NarrowLaneVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.
         if self.render_mode is None:
             return None
         road, record = self._worlds.game.simulator.road, self._worlds.record
-        return tuple(self._camera.picture(road, record.shot(world)) for world in range(self.num_envs))
+        return tuple(self._camera.picture(road, record.shot(world)) for world in range(self._worlds.n_worlds))
 
     def _streams(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """Numbers that the streams of the worlds are seeded with; None = a stream goes on."""
-        n = self.num_envs
+        n = self._worlds.n_worlds
         seeds: Sequence[Any] = [seed + i for i in range(n)] if type(seed) is int else seed or [None] * n  # type: ignore[assignment]
         is_list = isinstance(seeds, Sequence) and len(seeds) == n
         if not is_list or not all(each is None or type(each) is int for each in seeds):

@@ -19,18 +19,12 @@ from gymnasium.spaces import Box, Discrete
 from gymnasium.utils.seeding import np_random
 from pettingzoo import ParallelEnv
 
-from negopipe.agents.population import PopulationConfig, SelfDriver, SocialDriverConfig
 from negopipe.envs.given_task import TASK
-from negopipe.envs.overrides import config_of
 from negopipe.envs.rendering import MODES, View, fps
+from negopipe.envs.self_play import self_play_config
 from negopipe.envs.worlds import MOST, Worlds, shown
 from negopipe.errors import UserError
 from negopipe.tensors.torch_settings import own_settings
-
-EVERYONE = PopulationConfig(
-    drivers={"agent": SocialDriverConfig(weight=1.0, driver=SelfDriver(kind="self", action="sample"))}
-)
-"""The population whose only driver is whoever gives the actions."""
 
 
 def make_parallel_env(overrides: Sequence[str] = (), render_mode: str | None = None) -> "NarrowLaneParallelEnv":
@@ -54,10 +48,7 @@ class NarrowLaneParallelEnv(ParallelEnv[str, np.ndarray, np.int64]):
 
     @own_settings()
     def __init__(self, overrides: Sequence[str] = (), render_mode: str | None = None) -> None:
-        for override in overrides:
-            if override.lstrip("+~").startswith("population"):
-                raise UserError(f"overrides must not change the population, which the actions drive, got {override}")
-        self._worlds = Worlds(config_of(overrides, (), EVERYONE), 1, is_self_play=True)
+        self._worlds = Worlds(self_play_config(overrides), 1, is_self_play=True)
         self._view, self.render_mode = View(self._worlds, render_mode), render_mode
         self.metadata = {**self.metadata, "render_fps": fps(self._worlds)}
         self.possible_agents = ["ego", *(f"social_{i + 1}" for i in range(self._worlds.config.scenario.n_others))]

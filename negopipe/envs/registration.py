@@ -42,12 +42,15 @@ class _AfterImport:
     ) -> ModuleSpec | None:
         if name != "gymnasium":
             return None
-        sys.meta_path.remove(self)
+        place = sys.meta_path.index(self)
+        del sys.meta_path[place]
         spec = find_spec(name)
+        sys.meta_path.insert(place, self)  # who asks for a spec may not import it
         if spec is not None and spec.loader is not None:
             execute = spec.loader.exec_module
 
             def execute_and_register(module: ModuleType) -> None:
+                sys.meta_path.remove(self)
                 execute(module)
                 _register(module)
 

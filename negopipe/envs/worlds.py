@@ -132,6 +132,10 @@ class Worlds:
         """[A, *obs]: the observations of all agents, agent v E + e is vehicle v of world e."""
         return shown(self._env.observe())
 
+    def is_driving(self) -> np.ndarray:
+        """[A] bool: the agents whose vehicle has not collided."""
+        return self._env.is_learning().numpy()
+
     @own_settings()
     def step(self, action: Any) -> Transition:
         """Transition by the actions [A]; UserError if they are no actions."""

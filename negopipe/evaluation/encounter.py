@@ -43,11 +43,13 @@ class Encounter:
     number: of the encounter in its folder, from 1; the column `episode` of episodes.csv
     opponent, street: names in `play.opponents` and `play.streets`; the columns `planner` and `setting`
     control: one of `CONTROLS`
-    baseline: name of the ego's driver in `evaluation.baselines`; None = the policy of the config's checkpoint
+    baseline: name of the ego's driver in `evaluation.baselines`; None = the policy of the config's checkpoint;
+        `PERSON` = a second person
     participant: name of the person, as `play.participant` gives it
     started: time of the start, ISO 8601, UTC
     made_by: versions and hash of the code
     commands: of the person, decision by decision: one of `PEDALS`, or a horizon in s
+    opponent_commands: those of the second person; None where there is none
     task: of the one episode
     drive: record of the one episode, as long as it was
     config: the whole config, as `negopipe.config.root.as_mapping` gives it
@@ -62,6 +64,7 @@ class Encounter:
     started: str
     made_by: Mapping[str, str]
     commands: Sequence[str]
+    opponent_commands: Sequence[str] | None
     task: Task
     drive: Trace
     config: Mapping[str, Any]
@@ -99,21 +102,28 @@ def drive_again(config: "RunConfig", game: Game, encounter: Encounter, watch: Wa
 
     config, game: of the encounter's config. An ego without horizons drives by its rule again.
     """
-    horizon_s, key = encounter.drive.horizon_s[:, :, EGO], encounter.task.noise_seed
-    if encounter.baseline is not None and np.isnan(horizon_s).any():
-        ego = config.evaluation.baselines[encounter.baseline].driver(game, key)
-    else:
-        choose = sequence_planner(torch.from_numpy(horizon_s).to(key.device))
-
-        def choose_watched(perception: Perception) -> Tensor:
-            if watch is not None:
-                watch(perception)
-            return choose(perception)
-
-        ego = HorizonDriver(choose_watched, game.plan)
-    seats = {EGO: ego, NEAREST: person(game, config.play.pedals, encounter.control, iter(encounter.commands))}
+    pedals, control = config.play.pedals, encounter.control
+    opponent = _ego(config, game, encounter, watch)
+    seats = {EGO: opponent, NEAREST: person(game, pedals, control, iter(encounter.commands))}
     names = (encounter.opponent, encounter.street)
     return named(cut(drive_seats(game, seats, encounter.task, config.evaluation.reward, names)))
+
+
+def _ego(config: "RunConfig", game: Game, encounter: Encounter, watch: Watch | None) -> Driver:
+    """Driver of the ego of `drive_again`."""
+    if encounter.opponent_commands is not None:
+        return person(game, config.play.pedals, encounter.control, iter(encounter.opponent_commands))
+    horizon_s, key = encounter.drive.horizon_s[:, :, EGO], encounter.task.noise_seed
+    if encounter.baseline is not None and np.isnan(horizon_s).any():
+        return config.evaluation.baselines[encounter.baseline].driver(game, key)
+    choose = sequence_planner(torch.from_numpy(horizon_s).to(key.device))
+
+    def choose_watched(perception: Perception) -> Tensor:
+        if watch is not None:
+            watch(perception)
+        return choose(perception)
+
+    return HorizonDriver(choose_watched, game.plan)
 
 
 def named(trace: Trace) -> Trace:
@@ -178,6 +188,7 @@ def _encounter(content: Mapping[str, Any]) -> Encounter:
     }
     typed: dict[str, Any] = {name: values.astype(TYPES[name]) for name, values in drive.items() if name in TYPES}
     opponent, street, dt_s = content["opponent"], content["street"], content["drive"]["dt_s"]
+    content = {"opponent_commands": None, **content}  # which files of older code do not have
     return Encounter(
         **{field.name: content[field.name] for field in fields(Encounter) if field.name not in ("task", "drive")},
         task=with_tensors(_any_task(), {name: torch.from_numpy(values) for name, values in task.items()}),

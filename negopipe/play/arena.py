@@ -11,7 +11,7 @@ from torch import Tensor
 
 from negopipe.agents.driver import Driver, HorizonDriver
 from negopipe.agents.horizon_drivers import drawn_action
-from negopipe.agents.person import seat_person
+from negopipe.agents.person import PERSON, seat_person
 from negopipe.config.compose import compose_config
 from negopipe.errors import UserError, abbreviate
 from negopipe.game.game import Game, build_game
@@ -34,7 +34,7 @@ class Arena:
     """An opponent on a street.
 
     opponent, street: names in `play.opponents` and `play.streets`
-    policy: of the ego; None where a baseline drives it
+    policy: of the ego; None where a baseline or a second person drives it
     """
 
     opponent: str
@@ -46,6 +46,11 @@ class Arena:
     @property
     def baseline(self) -> str | None:
         return self.config.play.opponents[self.opponent].baseline
+
+    @property
+    def has_second_person(self) -> bool:
+        """Whether a second person drives the ego."""
+        return self.baseline == PERSON
 
     @property
     def horizons_s(self) -> tuple[float, ...]:
@@ -66,7 +71,7 @@ class Arena:
         return self.sampler.draw(1)
 
     def ego(self, task: Task) -> tuple[Driver, "Chooser | None"]:
-        """The opponent at the wheel, and its policy where it has one."""
+        """The opponent at the wheel, who is no person, and its policy where it has one."""
         if self.baseline is not None:
             return self.config.evaluation.baselines[self.baseline].driver(self.game, task.noise_seed), None
         assert self.policy is not None
@@ -110,8 +115,8 @@ def open_arena(base: "RunConfig", overrides: Sequence[str], opponent: str, stree
     baseline = base.play.opponents[opponent].baseline
     if baseline is None and config.checkpoint is None:
         raise UserError(f"play.opponents.{opponent}.overrides must name a checkpoint where baseline is null, got none")
-    if baseline is not None and baseline not in config.evaluation.baselines:
-        known_ones = ", ".join(config.evaluation.baselines)
+    if baseline not in (None, *config.evaluation.baselines, PERSON):
+        known_ones = ", ".join((*config.evaluation.baselines, PERSON))
         raise UserError(f"play.opponents.{opponent}.baseline must be one of {known_ones}, got {baseline}")
     policy = load_policy(config.checkpoint, config) if baseline is None and config.checkpoint is not None else None
     return Arena(opponent, street, config, with_learned(build_game(config), config, policy), policy)

@@ -23,7 +23,10 @@ class StreetChoice:
 
 @schema
 class OpponentChoice:
-    """An opponent that can be chosen; baseline: its driver in `evaluation.baselines`, None = the policy."""
+    """An opponent that can be chosen.
+
+    baseline: its driver in `evaluation.baselines`; None = the policy, `negopipe.agents.person.PERSON` = a second person
+    """
 
     label: Label
     overrides: tuple[str, ...]

@@ -75,7 +75,8 @@ class Handler(BaseHTTPRequestHandler):
                 asked = (given.get(name) for name in ("opponent", "street", "control"))
                 return _json(self.server.service.begin(*asked))
             case ["api", "encounters", key, "step"]:
-                return _json(self.server.service.step(key, given.get("step"), given.get("command")))
+                asked = (given.get(name) for name in ("step", "command", "opponent_command"))
+                return _json(self.server.service.step(key, *asked))
         raise Refused(404, "there is no such page")
 
     def _body(self) -> dict[str, Any]:

@@ -66,9 +66,10 @@ class Service:
             live, shown = self._find(key)
             return shown | {"frames": live.frames}
 
-    def step(self, key: str, step: Any, command: Any) -> dict[str, Any]:
+    def step(self, key: str, step: Any, command: Any, opponent_command: Any = None) -> dict[str, Any]:
         """The frame after decision `step`. A decision that was made already is told again, so a page may repeat itself.
 
+        command, opponent_command: of the person and of the second one; None where there is no second one
         Where the encounter is over, its record is written and the frame has a `result`.
         """
         with self._lock:
@@ -76,7 +77,7 @@ class Service:
             n_made = len(live.commands)
             if isinstance(step, bool) or not isinstance(step, int) or not 0 <= step <= n_made:
                 raise UserError(f"step must be a whole number up to {n_made}, got {str(step)[:20]}")
-            frame = live.frames[step + 1] if step < n_made else live.step(command)
+            frame = live.frames[step + 1] if step < n_made else live.step(command, opponent_command)
             if live.outcome is not None and "result" not in shown:
                 shown["result"] = self._finish(live)
             return frame | {"result": shown["result"]} if frame["outcome"] is not None else frame

@@ -16,6 +16,7 @@ IMPORTS = [
     "import gymnasium, negopipe",
     "import negopipe, gymnasium",
     "import negopipe; from gymnasium import spaces; import gymnasium",
+    "import negopipe; from importlib.util import find_spec; find_spec('gymnasium'); import gymnasium",
 ]
 
 

@@ -33,12 +33,17 @@ def arena(opponent: str) -> Arena:
 def driven(where: Arena, control: str) -> Encounter:
     live = LiveEncounter(where, control, seed=3)
     while live.outcome is None:
-        commands = COMMANDS[control]
-        live.step(commands[len(live.commands) % len(commands)])
+        commands, n_made = COMMANDS[control], len(live.commands)
+        others = commands[(n_made + 1) % len(commands)] if where.has_second_person else None
+        live.step(commands[n_made % len(commands)], others)
     return live.encounter(7)
 
 
-@pytest.fixture(scope="module", params=[("yield", "pedals"), ("idm", "pedals"), ("fixed_2", "horizon")], ids=str)
+MET = [("yield", "pedals"), ("idm", "pedals"), ("fixed_2", "horizon")]
+MET += [("second_person", "pedals"), ("second_person", "horizon")]
+
+
+@pytest.fixture(scope="module", params=MET, ids=str)
 def met(request: pytest.FixtureRequest) -> tuple[Arena, Encounter]:
     opponent, control = request.param
     where = arena(opponent)
@@ -71,6 +76,22 @@ def test_other_commands_give_another_drive(met: tuple[Arena, Encounter]) -> None
     others = {"pedals": "brake", "horizon": "6"}
     changed = replace(encounter, commands=[others[encounter.control]] * len(encounter.commands))
     assert difference(encounter.drive, drive_again(where.config, where.game, changed)) is not None
+
+
+@pytest.mark.parametrize(("control", "other"), [("pedals", "brake"), ("horizon", "6")])
+def test_other_commands_of_the_second_person_give_another_drive(control: str, other: str) -> None:
+    where = arena("second_person")
+    encounter = driven(where, control)
+    changed = replace(encounter, opponent_commands=[other] * len(encounter.commands))
+    assert difference(encounter.drive, drive_again(where.config, where.game, changed)) is not None
+
+
+def test_a_file_of_before_there_was_a_second_person_is_read(tmp_path: Path) -> None:
+    where, path = arena("idm"), tmp_path / "old.json"
+    text = encounter_text(driven(where, "pedals"))
+    path.write_text(text.replace('"opponent_commands": null,\n', ""))
+    assert path.read_text() != text
+    assert encounter_text(read_encounter(path)) == text
 
 
 def test_commands_are_those_of_the_control() -> None:

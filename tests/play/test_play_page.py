@@ -100,6 +100,31 @@ def test_keys_drive_and_the_replay_is_scrubbed(window: Browser, server: Server, 
     assert not tab.said
 
 
+def test_two_people_drive_at_one_keyboard(window: Browser, server: Server, tmp_path: Path) -> None:
+    tab = window.tab()
+    tab.resize(1280, 860)
+    tab.open(server.address)
+    choose(tab, "second_person", "narrow_lane")
+    start(tab)
+    assert tab.run("getComputedStyle(document.querySelector('#mind')).display") == "none"
+    tab.key("ArrowUp", True)
+    tab.key("KeyS", True)
+    tab.wait("document.querySelectorAll('.pedal[aria-pressed=true]').length === 2")
+    tab.wait("negopipe.game.frames.length > 8")
+    tab.key("KeyS", False)
+    tab.key("KeyW", True)
+    tab.wait(f"{PHASE} === 'over'")
+    tab.key("ArrowUp", False)
+    tab.key("KeyW", False)
+    assert fits(tab)
+    encounter = read_encounter(encounters(tmp_path)[0])
+    assert "go" in encounter.commands
+    assert "brake" not in encounter.commands
+    assert encounter.opponent_commands is not None
+    assert {"brake", "go"} <= set(encounter.opponent_commands)
+    assert not tab.said
+
+
 def test_a_finger_drives_on_a_phone(window: Browser, server: Server, tmp_path: Path) -> None:
     tab = window.tab()
     tab.resize(390, 844, is_phone=True)

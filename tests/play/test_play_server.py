@@ -69,6 +69,43 @@ def test_an_encounter_is_driven_recorded_and_told(tmp_path: Path) -> None:
     assert host.look(shown["id"])["result"] == last["result"]
 
 
+def test_the_opponents_plan_begins_where_its_car_is(host: Service) -> None:
+    for opponent, has_plan in (("fixed_2", True), ("idm", False)):
+        key = host.begin(opponent, "bent_street", "pedals")["id"]
+        frames = [host.step(key, step, "go") for step in range(3)]
+        assert host.look(key)["frames"][0]["plan"] == []
+        for frame in frames:
+            assert bool(frame["plan"]) == has_plan
+            if has_plan:
+                assert frame["plan"][0] == pytest.approx(frame["vehicles"][0][:2], abs=2e-3)
+
+
+def test_two_people_drive_and_are_replayed(tmp_path: Path) -> None:
+    host, commands = service(tmp_path), ("go", "brake")
+    shown = host.begin("second_person", "narrow_lane", "pedals")
+    assert shown["has_second_person"]
+    assert shown["target_sigma_m"]["person"] * shown["target_sigma_m"]["opponent"] < 0
+    step = 0
+    while (frame := host.step(shown["id"], step, *commands))["outcome"] is None:
+        step += 1
+    path = Path(frame["result"]["file"])
+    encounter = read_encounter(path)
+    assert (set(encounter.commands), set(encounter.opponent_commands or ())) == ({commands[0]}, {commands[1]})
+    assert encounter.baseline == "person"
+    config, run = compose_config(["stages=[replay]", f"encounter={path}"]), RecordedRun(tmp_path)
+    replay.run(config, run)  # type: ignore[arg-type]
+    assert len(run.artifacts) == 3
+
+
+def test_a_second_persons_commands_are_for_a_second_person(host: Service) -> None:
+    alone, two = (host.begin(name, "narrow_lane", "pedals")["id"] for name in ("fixed_2", "second_person"))
+    with pytest.raises(UserError, match=r"^opponent_command must be null without a second person, got go"):
+        host.step(alone, 0, "go", "go")
+    with pytest.raises(UserError, match=r"^opponent_command must be one of those of the control pedals, got null"):
+        host.step(two, 0, "go")
+    assert len(host.look(two)["frames"]) == 1
+
+
 def test_rows_are_those_of_an_evaluation(tmp_path: Path) -> None:
     host = service(tmp_path)
     for opponent in ("fixed_0", "idm"):
@@ -172,7 +209,7 @@ def ask(server: Server, method: str, path: str, body: Any = None, **headers: str
 
 
 def test_the_page_needs_nothing_from_elsewhere(server: Server) -> None:
-    for path in ("/", "/play.js", "/play.css", "/street.js"):
+    for path in ("/", "/play.js", "/keys.js", "/play.css", "/street.js"):
         status, text = ask(server, "GET", path)
         assert status == 200
         assert "http://" not in text

@@ -2,20 +2,19 @@
 "use strict";
 
 const INVITATION = "Drive the dark car to its target. The other one predicts you, and decides anew five times a second.";
+const INVITATION_OF_TWO = "Two people at one page: the dark car and the teal car, each to its target.";
 const $ = id => document.getElementById(id);
-const KEYS = {ArrowUp: "go", KeyW: "go", ArrowDown: "brake", KeyS: "brake", Space: "brake"};
 const KEPT = "negopipe-encounter";  // in the session's storage: the encounter that a page loaded anew goes on with
 const COUNTS = 3, COUNT_S = 0.6, RETRY_MS = 1000;
 
 const view = new StreetView($("view"));
-const held = new Set();  // pedals that are held, by their source
 const game = {
   menu: null, shown: null, frames: [], phase: "menu",
   at_s: 0,          // time in the encounter that is drawn
   lead_s: 0.12,     // time before a frame is drawn at which it is asked for
   rate: 1,          // of the drawn time to real time: below 1 where the machine is too slow, rather than in jerks
   waiting: false,   // a step has been asked for
-  horizon: null,    // of a person who drives by a horizon
+  horizon: {person: null, opponent: null},  // of people who drive by a horizon
   playing: false, result: null, starts_at: null, run: 0,
 };
 const measured = {drawn: [], late: 0};  // times of the latest drawings, ms; frames that came too late
@@ -120,7 +119,7 @@ async function prepare() {
 }
 
 async function preview() {
-  if (await prepare()) enter("menu", "Two cars, one gap", INVITATION);
+  if (await prepare()) enter("menu", "Two cars, one gap", game.shown.has_second_person ? INVITATION_OF_TWO : INVITATION);
 }
 
 async function begin() {
@@ -136,10 +135,14 @@ function take(shown) {
   game.result = shown.result ?? null;
   game.waiting = false;
   held.clear();
-  $("other-name").textContent = labelOf(game.menu.opponents, shown.opponent).split(":")[0].split(",")[0];
+  const is_for_two = shown.has_second_person;
+  document.body.classList.toggle("two", is_for_two);
+  $("own-name").textContent = is_for_two ? "dark" : "you";
+  $("other-name").textContent = is_for_two ? "teal" : labelOf(game.menu.opponents, shown.opponent).split(":")[0].split(",")[0];
+  nameKeys();
   view.show(shown, game.menu.colors);
   makeBars();
-  makeHorizons();
+  SEATS.forEach(makeHorizons);
 }
 
 function ready() {
@@ -147,9 +150,10 @@ function ready() {
   game.asked = null;
   game.at_s = 0;
   game.starts_at = performance.now() + 1000 * COUNTS * COUNT_S;
+  const is_for_two = game.shown.has_second_person;
   const how = game.shown.control === "pedals" ? "hold go to drive, let go to roll out, hold brake to stop"
     : "choose how far ahead you look: a short horizon pushes, a long one gives way";
-  enter("ready", "You are the dark car", how);
+  enter("ready", is_for_two ? "Dark car against teal car" : "You are the dark car", how);
   $("start").blur();
   $("view").focus({preventScroll: true});
   pressed();
@@ -168,17 +172,12 @@ function giveUp() {
   preview();
 }
 
-function command() {
-  if (game.shown.control === "horizon") return game.horizon;
-  const pedals = new Set([...held].map(each => each.split(":")[1]));
-  return pedals.has("brake") ? "brake" : pedals.has("go") ? "go" : "ease";
-}
-
 async function step() {
   const {run} = game, asked_at = performance.now(), n = game.frames.length - 1;
   game.waiting = true;
   try {
-    const frame = await insist(`encounters/${game.shown.id}/step`, {step: n, command: command()});
+    const commands = {command: command("person"), opponent_command: game.shown.has_second_person ? command("opponent") : null};
+    const frame = await insist(`encounters/${game.shown.id}/step`, {step: n, ...commands});
     if (run !== game.run) return;
     const took_s = (performance.now() - asked_at) / 1000;
     const {dt_s} = game.shown;
@@ -200,8 +199,9 @@ async function step() {
 function over() {
   sessionStorage.removeItem(KEPT);
   const last = game.frames.at(-1), {result} = game, row = result?.row;
-  const first = {social: "you went first", ego: "the opponent went first"}[row?.passes_first];
-  const time = row?.social_time_s != null ? `${row.social_time_s.toFixed(1)} s` : `${last.time_s.toFixed(1)} s`;
+  const [own, other] = game.shown.has_second_person ? ["the dark car", "the teal car"] : ["you", "the opponent"];
+  const first = {social: `${own} went first`, ego: `${other} went first`}[row?.passes_first];
+  const time = row?.social_time_s != null && !game.shown.has_second_person ? `${row.social_time_s.toFixed(1)} s` : `${last.time_s.toFixed(1)} s`;
   const what = {success: first ? `Passed: ${first}` : "Passed", collision: "Crash", deadlock: "Stuck, nose to nose",
     timeout: "Out of time", social_collision: "Crash"}[last.outcome];
   const gap = row && last.outcome === "success" ? `, smallest gap ${row.smallest_gap_m.toFixed(1)} m` : "";
@@ -246,7 +246,7 @@ function think(frame) {
 function thought(frame, shown) {
   if (frame.intervention !== "none") return `The safety layer drives: ${frame.intervention.replace("_", " ")}`;
   if (frame.is_full_braking) return "It finds no way and brakes as hard as it can.";
-  if (frame.step === 0) return "Five times a second it chooses how far ahead it predicts you. The ribbon before your car shows it.";
+  if (frame.step === 0) return "Five times a second it chooses how far ahead it predicts you: the ribbon before your car. The thin line is its plan.";
   if (frame.horizon === null) return "It drives by a rule, without a prediction horizon.";
   if (frame.horizon === "inf") return "It gives way to you.";
   if (frame.horizon === "0") return "It does not predict you at all: it pushes through.";
@@ -261,7 +261,8 @@ function moment(at_s) {
   const frame = frames[index], next = frames[Math.min(last, index + 1)];
   const share = Math.min(1, Math.max(0, at_s / shown.dt_s - index));
   const vehicles = index === last ? frame.vehicles : between(frame.vehicles, next.vehicles, share, shown.dt_s);
-  return {vehicles, frame: index === last ? frame : next, horizon: index === last ? frame.horizon : next.horizon,
+  const shown_frame = index === last ? frame : next;
+  return {vehicles, frame: shown_frame, horizon: shown_frame.horizon, plan: shown_frame.plan,
     outcome: index === last ? frame.outcome : null};
 }
 
@@ -323,66 +324,7 @@ function play(is_playing) {
   $("play").setAttribute("aria-label", is_playing ? "Pause the replay" : "Play the replay");
 }
 
-// --- keys and touch
-
-function pressed() {
-  for (const each of document.querySelectorAll(".pedal")) {
-    each.setAttribute("aria-pressed", String([...held].some(source => source.endsWith(`:${each.dataset.pedal}`))));
-  }
-  for (const each of $("horizons").children) each.setAttribute("aria-pressed", String(each.dataset.horizon === game.horizon));
-}
-
-function hold(source, is_held) {
-  held[is_held ? "add" : "delete"](source);
-  pressed();
-}
-
-function makeHorizons() {
-  const {horizons, horizon_colors: colors} = game.shown;
-  if (!horizons.includes(game.horizon)) game.horizon = horizons[Math.floor(horizons.length / 2)];
-  $("horizons").replaceChildren(...horizons.map(name => {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.dataset.horizon = name;
-    button.style.setProperty("--own", colors[name]);
-    button.textContent = name === "inf" ? "give way" : `${name} s`;
-    button.insertAdjacentHTML("beforeend", `<kbd>${name === "inf" ? "9" : name}</kbd>`);
-    button.addEventListener("pointerdown", () => { game.horizon = name; pressed(); });
-    button.addEventListener("click", () => { game.horizon = name; pressed(); });
-    return button;
-  }));
-}
-
-const isDriving = () => game.phase === "drive" || game.phase === "ready";
-
-addEventListener("keydown", event => {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  if (isDriving()) {
-    const pedal = KEYS[event.code], horizon = event.key === "9" ? "inf" : event.key;
-    if (game.shown.control === "pedals" && pedal) {
-      event.preventDefault();  // no page that scrolls, no button that is pressed
-      hold(`${event.code}:${pedal}`, true);
-    } else if (game.shown.control === "horizon" && game.shown.horizons.includes(horizon)) {
-      game.horizon = horizon;
-      pressed();
-    }
-  } else if (game.phase === "over" && event.code === "Space" && event.target.tagName !== "BUTTON") {
-    event.preventDefault();
-    play(!game.playing);
-  }
-});
-addEventListener("keyup", event => { if (KEYS[event.code]) hold(`${event.code}:${KEYS[event.code]}`, false); });
-addEventListener("blur", () => { held.clear(); pressed(); });
-document.addEventListener("visibilitychange", () => { if (document.hidden) { held.clear(); pressed(); } });
-
-for (const each of document.querySelectorAll(".pedal")) {
-  const {pedal} = each.dataset;
-  each.addEventListener("pointerdown", event => { each.setPointerCapture(event.pointerId); hold(`touch${event.pointerId}:${pedal}`, true); });
-  for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
-    each.addEventListener(end, event => hold(`touch${event.pointerId}:${pedal}`, false));
-  }
-  each.addEventListener("contextmenu", event => event.preventDefault());  // a long touch is a held pedal
-}
+// --- buttons
 
 $("choices").addEventListener("submit", event => {
   event.preventDefault();

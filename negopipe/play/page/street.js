@@ -7,6 +7,7 @@ const MOST_PX_PER_M = 24;
 // Half of the width of road that is shown at least, m; on a tall canvas the length of street that is shown at least, and
 // that beyond the outer car.
 const HALF_ROAD_M = 4, NEAREST_VIEW_M = 30, BESIDE_M = 8;
+const SEATS_ON_STREET = ["person", "opponent"];
 
 class StreetView {
   constructor(canvas) {
@@ -29,10 +30,11 @@ class StreetView {
     return height > width;
   }
 
-  // The part of the street that is shown: all between starts and targets, on a tall canvas from the person to the opponent.
+  // The part of the street that is shown: all between starts and targets; on a tall canvas that one person looks at, from
+  // the person to the opponent.
   range(vehicles) {
     const {reach_m: reach, person_way: way, vehicle} = this.shown;
-    if (!this.isTall) return [-reach, reach];
+    if (!this.isTall || this.shown.has_second_person) return [-reach, reach];
     const [own, other] = [vehicle.person, vehicle.opponent].map(i => way * this.sigmaOf(...vehicles[i]));
     const ahead = other > own ? Math.max(NEAREST_VIEW_M, other - own + BESIDE_M) : NEAREST_VIEW_M;
     const end = Math.min(own + ahead, reach), wanted = [Math.min(own - BESIDE_M, end - NEAREST_VIEW_M), end];
@@ -126,7 +128,7 @@ class StreetView {
     pen.lineWidth = 1.4 * this.ratio;
     pen.strokeStyle = colors.ink;
     street.kerbs.forEach(kerb => { this.path(kerb); pen.stroke(); });
-    this.drawTarget();
+    SEATS_ON_STREET.forEach(seat => this.drawTarget(seat));
     for (const [x, y, yaw, length, width] of street.parked) {
       this.car(x, y, yaw, length, width, colors.parked, "rgba(255,255,255,0.55)");
     }
@@ -137,18 +139,40 @@ class StreetView {
     this.picture.getContext("2d").drawImage(this.canvas, 0, 0);
   }
 
-  // The line that the person has to reach.
-  drawTarget() {
-    const {line, kerbs} = this.shown.street, {pen} = this;
-    const index = line.findIndex(([sigma]) => sigma >= this.shown.target_sigma_m);
-    if (index < 0) return;
+  // The line that a person has to reach; the opponent's is drawn where a second person drives it.
+  drawTarget(seat) {
+    const {line, kerbs} = this.shown.street, {pen} = this, is_for_two = this.shown.has_second_person;
+    const index = line.findIndex(([sigma]) => sigma >= this.shown.target_sigma_m[seat]);
+    if (index < 0 || (seat === "opponent" && !is_for_two)) return;
     this.path([kerbs[0][index], kerbs[1][index]]);
     pen.setLineDash([5 * this.ratio, 5 * this.ratio]);
     pen.lineWidth = 3 * this.ratio;
+    pen.strokeStyle = is_for_two ? this.colors[seat] : this.colors.ink;
     pen.stroke();
     pen.setLineDash([]);
-    const [x, y] = this.at(...kerbs[this.shown.person_way > 0 ? 0 : 1][index]);
-    if (this.isTall) this.word("target", x + 28 * this.ratio, y); else this.word("your target", x, y + 14 * this.ratio);
+    const [x, y] = this.at(...kerbs[this.shown.person_way > 0 ? 0 : 1][index]), name = is_for_two ? this.nameOf(seat) : "your";
+    if (this.isTall) this.word("target", x + 28 * this.ratio, y); else this.word(`${name} target`, x, y + 14 * this.ratio);
+  }
+
+  nameOf(seat) { return seat === "opponent" ? "teal" : this.shown.has_second_person ? "dark" : "you"; }
+
+  // The name of who drives a car, beside it.
+  drawName(seat, vehicles) {
+    const i = this.shown.vehicle[seat], [px, py] = this.at(...vehicles[i]);
+    const lift = (this.shown.size_m[i][1] / 2) * this.scale + 9 * this.ratio;
+    if (this.isTall) this.word(this.nameOf(seat), px + lift + 8 * this.ratio, py); else this.word(this.nameOf(seat), px, py + lift);
+  }
+
+  // The way that the opponent plans, from its place on.
+  drawPlan(plan, [x, y]) {
+    const {pen} = this;
+    this.path([[x, y], ...plan]);
+    pen.globalAlpha = 0.55;
+    pen.lineWidth = 2.2 * this.ratio;
+    pen.lineJoin = pen.lineCap = "round";
+    pen.strokeStyle = this.colors.opponent;
+    pen.stroke();
+    pen.globalAlpha = 1;
   }
 
   word(text, x, y) {
@@ -193,12 +217,14 @@ class StreetView {
     return [...right, ...left];
   }
 
-  // moment: vehicles [[x, y, yaw, speed], ...] (m, rad, m/s), horizon (text or null), outcome (text or null)
+  // moment: vehicles [[x, y, yaw, speed], ...] (m, rad, m/s), horizon (text or null), plan [[x, y], ...] (m) of the
+  // opponent, outcome (text or null)
   draw(moment) {
     if (!this.shown) return;
     if (this.picture) this.pen.drawImage(this.picture, 0, 0); else this.drawStreet(moment.vehicles);
     const {pen, colors, shown} = this, {person, opponent} = shown.vehicle;
-    const horizon = moment.horizon === null || moment.outcome ? null : Number(moment.horizon === "inf" ? Infinity : moment.horizon);
+    const is_hidden = moment.horizon === null || moment.outcome || shown.has_second_person;  // two people see the same
+    const horizon = is_hidden ? null : Number(moment.horizon === "inf" ? Infinity : moment.horizon);
     if (horizon) {
       pen.globalAlpha = 0.6;
       moment.vehicles.forEach((vehicle, i) => {
@@ -208,12 +234,11 @@ class StreetView {
       });
       pen.globalAlpha = 1;
     }
+    if (moment.plan.length && !moment.outcome) this.drawPlan(moment.plan, moment.vehicles[opponent]);
     moment.vehicles.forEach(([x, y, yaw], i) => {
       this.car(x, y, yaw, ...shown.size_m[i], i === opponent ? colors.opponent : i === person ? colors.person : colors.quiet);
     });
-    const [x, y] = moment.vehicles[person], [px, py] = this.at(x, y);
-    const lift = (shown.size_m[person][1] / 2) * this.scale + 9 * this.ratio;
-    if (this.isTall) this.word("you", px + lift + 8 * this.ratio, py); else this.word("you", px, py + lift);
+    for (const seat of shown.has_second_person ? SEATS_ON_STREET : ["person"]) this.drawName(seat, moment.vehicles);
     if (moment.outcome === "collision") this.crash(moment.vehicles[person], moment.vehicles[opponent], shown);
   }
 
