@@ -61,6 +61,7 @@ class Diagnostics:
     is_restarted: the past was forgotten
     intervention: of the safety layer, `none` where it drove the plan as it is or where the export has no layer
     stop: why the vehicle is stopped, one of `negotiator.STOPS`; empty where it is not
+    probabilities: of the policy, by horizon in s; empty for a stop
     """
 
     messages: Mapping[str, int] = field(default_factory=dict)
@@ -71,6 +72,7 @@ class Diagnostics:
     is_restarted: bool = False
     intervention: str = "none"
     stop: str = ""
+    probabilities: Mapping[float, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

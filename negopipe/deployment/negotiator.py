@@ -237,7 +237,7 @@ class Negotiator:
             states,
             horizon_s,
             bool(found["is_full_braking"][0]),
-            replace(said, intervention=INTERVENTIONS[intervention]),
+            replace(said, intervention=INTERVENTIONS[intervention], probabilities=self._probabilities(found["logits"])),
         )
         passed_s = time_s
         if intervention:
@@ -246,6 +246,11 @@ class Negotiator:
         if self._begin_s is None:
             self._begin_s = time_s
         return plan
+
+    def _probabilities(self, logits: Array) -> dict[float, float]:
+        """Of the horizons, by the policy's logits [1, A]."""
+        shares = np.exp(logits[0] - logits[0].max())
+        return dict(zip(self.settings.horizons_s, (shares / shares.sum()).tolist(), strict=True))
 
     def _past(self, time_s: float) -> Array:
         """[K, 3]: poses of the ego now and before; where messages are missing, the next known one."""

@@ -23,6 +23,7 @@ class Settings:
     n_times: T, times of a plan
     n_past: K, states of the past that a decision reads, now among them
     n_others: N, other road users that a decision reads
+    horizons_s: prediction horizons among which the policy chooses
     accel_window_s: time over which another's acceleration is read off its speeds, s
     before: what is assumed of the time before the first message of a road user that appears during a drive: nothing
         where training knew vehicles that were not seen, else that it came with its speed and heading
@@ -38,6 +39,7 @@ class Settings:
     n_times: int
     n_past: int
     n_others: int
+    horizons_s: tuple[float, ...]
     accel_window_s: float
     before: Before
     full_braking_mps2: float
@@ -70,6 +72,7 @@ class Settings:
             n_times=round(planner["horizon_s"] / dt_s),
             n_past=1 + (observation["n_frames"] - 1) * stride,
             n_others=n_others,
+            horizons_s=tuple(config["policy"]["horizons_s"]),
             accel_window_s=config["perception"]["accel_window_s"],
             before="unknown" if _knows_unseen(config["perception"]) else "driven",
             full_braking_mps2=planner["limits"]["full_braking_mps2"],

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from games import draw_tasks
-from runtime_drives import Arrays, drive_with_runtime, messages, negotiator, parts, places, street_for
+from runtime_drives import Arrays, drive_with_runtime, messages, negotiator, parts, places, straight_on, street_for
 
 from negopipe.deployment import EgoState, HostStreet, Negotiator, ObjectState, Trajectory
 from negopipe.deployment.history import Before
@@ -58,14 +58,6 @@ def scene() -> tuple[Negotiator, HostStreet, EgoState, list[ObjectState]]:
     world = game.simulator.reset(draw_tasks(config, 1, seed=0))
     street = street_for(runtime, game, world)
     return runtime, street, *messages(world, street, BEGIN_S)
-
-
-def straight_on(arguments: Arrays) -> Arrays:
-    x, y, yaw, speed, *_ = arguments["own"].tolist()
-    driven = speed * DT_S * np.arange(1, 31)
-    columns = [x + driven * math.cos(yaw), y + driven * math.sin(yaw), *(np.full(30, each) for each in (yaw, speed))]
-    trajectory = np.stack([*columns, np.zeros(30), np.zeros(30)], -1)
-    return {"trajectory": trajectory, "horizon": np.array([4.0]), "is_full_braking": np.array([False])}
 
 
 def assert_stops(trajectory: Trajectory, reason: str) -> None:
