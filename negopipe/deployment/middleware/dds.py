@@ -4,17 +4,19 @@ A topic `/a/b` is `rt/a/b` on the wire, a type `pkg/msg/Name` is `pkg::msg::dds_
 that `codec` writes. So nodes of ROS 2 with a DDS middleware (rmw_cyclonedds, rmw_fastrtps) are heard and hear.
 """
 
+import os
 from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any
 
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
-from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct, make_idl_struct
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
+from cyclonedds.internal import InvalidSample
 from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 from rosbags.interfaces import Nodetype
@@ -24,6 +26,11 @@ from negopipe.deployment.middleware.interface import Topic
 
 ALIKE = {"bool": bool, "string": str, "byte": idl.uint8, "char": idl.uint8}
 """Basic types of ROS 2 whose name in IDL is another."""
+
+CONFIG = """<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>
+</Domain></CycloneDDS>"""
+"""Types of Fast DDS (vendor 1.15) and of CycloneDDS (1.16) are compared by name, as older releases of ROS 2 do: newer
+ones announce structures that CycloneDDS cannot read or finds other than ours."""
 
 BLOCKED_S = 1.0
 """Longest time that a write waits for slow readers."""
@@ -40,6 +47,7 @@ class Bus:
         self, domain: int, inputs: Iterable[Topic], outputs: Iterable[Topic], names: Mapping[str, str] | None = None
     ) -> None:
         self._names = names or {}
+        self._domain = _configured(domain)
         self._participant = DomainParticipant(domain)
         self._readers = {topic: DataReader(self._participant, *self._of(topic)) for topic in inputs}
         self._writers = {topic: DataWriter(self._participant, *self._of(topic)) for topic in outputs}
@@ -63,7 +71,7 @@ class Bus:
 
     def publish(self, topic: Topic, data: bytes) -> None:
         """data: CDR"""
-        self._writers[topic].write(_wire_type(topic.type_name)(data))
+        self._writers[topic].write(_wire_type(topic.type_name).deserialize(data))
 
     def is_matched(self, topic: Topic) -> bool:
         """Whether there is another side of a topic."""
@@ -87,33 +95,38 @@ class Bus:
         return DdsTopic(self._participant, name, _wire_type(topic.type_name), qos=qos), qos
 
 
+@cache
+def _configured(domain: int) -> Domain:
+    """The DDS domain in this process, by the environment's CYCLONEDDS_URI and `CONFIG`."""
+    return Domain(domain, ",".join(filter(None, (os.environ.get("CYCLONEDDS_URI"), CONFIG))))
+
+
 def _taken(reader: DataReader, n: int) -> list[bytes]:
-    samples = reader.take(N=n)
-    return [sample.data for sample in samples if isinstance(sample, Wire)]
-
-
-class Wire:
-    """A sample that is its bytes; CycloneDDS itself checks them against the type when they arrive."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-
-    def serialize(self, buffer: Any = None, endianness: Any = None, use_version_2: bool | None = None) -> bytes:
-        return self.data
-
-    @classmethod
-    def deserialize(cls, data: bytes, has_header: bool = True, use_version_2: bool | None = None) -> "Wire":
-        return cls(bytes(data))
+    return [sample.data for sample in reader.take(N=n) if not isinstance(sample, InvalidSample)]
 
 
 @cache
 def _wire_type(type_name: str) -> Any:
-    """A class of samples of a type of ROS 2."""
-    return type("Sample", (Wire, _struct(type_name)), {})
+    """A class of samples of a type of ROS 2 that are their bytes, `data`.
+
+    CycloneDDS itself checks bytes that arrive against the type.
+    """
+    made = _struct(type_name)
+
+    def serialize(sample: Any, buffer: Any = None, endianness: Any = None, use_version_2: bool | None = None) -> bytes:
+        return sample.data
+
+    def deserialize(data: bytes, has_header: bool = True, use_version_2: bool | None = None) -> Any:
+        sample = made.__new__(made)
+        sample.data = bytes(data)
+        return sample
+
+    made.serialize, made.deserialize = serialize, staticmethod(deserialize)
+    return made
 
 
 @cache
-def _struct(type_name: str) -> type[IdlStruct]:
+def _struct(type_name: str) -> Any:
     """The type for CycloneDDS, by its definition."""
     package, _, name = type_name.split("/")
     fields = {field: _idl(what) for field, what in types().fielddefs[type_name][1]}
