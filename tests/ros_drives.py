@@ -4,22 +4,23 @@ import math
 import os
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import ros_packages  # noqa: F401
 import torch
 from games import draw_tasks
 from runtime_drives import HEADING, ORIGIN, messages, negotiator, parts, wanted_by
 
-from negopipe.deployment import EgoState, HostStreet, ObjectState
+from negopipe.deployment import EgoState, HostStreet, Negotiator, ObjectState
 from negopipe.deployment.decision_file import street_of
 from negopipe.deployment.middleware.codec import Message, decode, encode, make
 from negopipe.deployment.middleware.dds import Bus
-from negopipe.deployment.middleware.incoming import NS, POLYGON, yaw_of
+from negopipe.deployment.middleware.incoming import NS, yaw_of
 from negopipe.deployment.middleware.interface import (
     ACCELERATION,
     DEBUG,
@@ -45,6 +46,8 @@ BEGIN_NS, STEP_NS = 1_700_000_000 * NS, NS // 5
 Z_M = 30.0
 """Height of the map."""
 KERB_M = 3.5
+FRAME = HostStreet({}, 1.0, ORIGIN, HEADING)
+"""Where the simulator's world lies on the host's map."""
 LOOPBACK = (
     "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast><Interfaces>"
     "<NetworkInterface name='lo' multicast='false'/></Interfaces></General>"
@@ -111,29 +114,37 @@ def objects(states: list[ObjectState], stamp: int) -> Message:
 
 
 def street(places: np.ndarray, speed: float) -> Message:
-    """The street of the default config with the line on the host's map at `places` [2, N, 2]: left and right kerb."""
-    left, right = (
-        [make("geometry_msgs/msg/Point", x=x, y=y, z=Z_M) for x, y in kerb.tolist()] for kerb in places
-    )
+    """A street with kerbs at `places` [2, N, 2], m, left and right, and one speed."""
+    left, right = ([make("geometry_msgs/msg/Point", x=x, y=y, z=Z_M) for x, y in kerb.tolist()] for kerb in places)
     middle = places.mean(0).tolist()
     points = [
         make("autoware_planning_msgs/msg/PathPoint", pose=pose(x, y, Z_M, HEADING), longitudinal_velocity_mps=speed)
         for x, y in middle[::10]
     ]
-    return make(
-        STREET.type_name, header=header(BEGIN_NS), points=points, left_bound=left, right_bound=right
-    )
+    return make(STREET.type_name, header=header(BEGIN_NS), points=points, left_bound=left, right_bound=right)
 
 
-def street_messages(frame: HostStreet, cars: np.ndarray, speed: float) -> Sent:
+def street_messages(cars: np.ndarray, speed: float) -> Sent:
     """Kerbs of a straight street of 7 m and parked cars [P, 4] (x, y, length, width), on the host's map."""
     x = np.linspace(-60.0, 60.0, 121)
     kerbs = np.stack([np.stack([x, np.full_like(x, y), 0 * x], -1) for y in (KERB_M, -KERB_M)])
-    boxes = frame.to_host(np.column_stack([cars[:, :2], np.zeros(len(cars))]))
-    parked = [ObjectState(n, 0.0, *box, 0.0, *size) for n, (box, size) in enumerate(zip(boxes, cars[:, 2:], strict=True))]
+    boxes = FRAME.to_host(np.column_stack([cars[:, :2], np.zeros(len(cars))]))
+    parked = [
+        ObjectState(n, 0.0, *box, 0.0, *size) for n, (box, size) in enumerate(zip(boxes, cars[:, 2:], strict=True))
+    ]
     return [
-        (STREET, street(frame.to_host(kerbs)[..., :2], speed)),
+        (STREET, street(FRAME.to_host(kerbs)[..., :2], speed)),
         (PARKED, objects(parked, BEGIN_NS)),
+    ]
+
+
+def sensed(world: World, stamp: int) -> Sent:
+    """What the ego's sensors say of a world."""
+    ego, others = messages(world, FRAME, stamp / NS)
+    return [
+        (OBJECTS, objects(others, stamp)),
+        (ACCELERATION, acceleration(ego.accel, stamp)),
+        (ODOMETRY, odometry(ego, stamp)),
     ]
 
 
@@ -146,10 +157,9 @@ class Losses:
     """
 
     seed: int
-    lost: float = 0.2
-    late: float = 0.3
+    lost: float = 0.15
+    late: float = 0.2
     waiting: list[tuple[int, Topic, Message]] = field(default_factory=list)
-    n_odometries: int = 0
 
     def __post_init__(self) -> None:
         self._rng = np.random.default_rng(self.seed)
@@ -198,23 +208,17 @@ def drive(exchange: Exchange, n_steps: int, *overrides: str, seed: int, losses: 
     """A closed loop of one task through messages of ROS 2; without a new trajectory the last one is driven on."""
     config, game, _ = parts(*overrides)
     world = game.simulator.reset(draw_tasks(config, 1, seed))
-    frame = HostStreet({}, 1.0, ORIGIN, HEADING)
     cars, speed = street_of(game.simulator.road, 1).parked, float(world.task.desired_speed[0, 0])
-    exchange(street_messages(frame, cars, speed), None)
+    exchange(street_messages(cars, speed), None)
     done, newest = Drive([world], []), None
     for step in range(n_steps):
         stamp = BEGIN_NS + step * STEP_NS
-        ego, others = messages(world, frame, stamp / NS)
-        sent: Sent = [
-            (OBJECTS, objects(others, stamp)),
-            (ACCELERATION, acceleration(ego.accel, stamp)),
-            (ODOMETRY, odometry(ego, stamp)),
-        ]
+        sent = sensed(world, stamp)
         come = sent if losses is None else losses(step, sent)
         is_asked = any(message is sent[-1][1] for _, message in come)
         done.said.append(exchange(come, stamp if is_asked else None))
         newest = done.said[-1].get(TRAJECTORY, newest)
-        driven = state_at(newest, stamp + STEP_NS, frame)
+        driven = state_at(newest, stamp + STEP_NS)
         wanted = wanted_by(game, world, driven, torch.tensor([torch.nan]))
         world, events = game.simulator.step(world, wanted)
         done.worlds.append(world)
@@ -223,7 +227,7 @@ def drive(exchange: Exchange, n_steps: int, *overrides: str, seed: int, losses: 
     return done
 
 
-def state_at(trajectory: Message, stamp: int, frame: HostStreet) -> VehicleState:
+def state_at(trajectory: Message, stamp: int) -> VehicleState:
     """The ego as it is at a time that is one of the trajectory's points, [1], in the simulator's frame."""
     begin = trajectory.header.stamp.sec * NS + trajectory.header.stamp.nanosec
     after = {p.time_from_start.sec * NS + p.time_from_start.nanosec: p for p in trajectory.points}
@@ -233,21 +237,39 @@ def state_at(trajectory: Message, stamp: int, frame: HostStreet) -> VehicleState
     x, y = position.x + ahead_m * math.cos(yaw), position.y + ahead_m * math.sin(yaw)
     accel = -point.acceleration_mps2 if speed < 0 else point.acceleration_mps2
     curvature = math.tan(point.front_wheel_angle_rad) / VEHICLE.wheel_base_m
-    x, y, *rest = frame.to_street(np.array([x, y, yaw, speed, accel, curvature])).tolist()
+    x, y, *rest = FRAME.to_street(np.array([x, y, yaw, speed, accel, curvature])).tolist()
     return VehicleState(torch.tensor([[x, y]]), *torch.tensor(rest)[:, None])
 
 
-def in_process(node: PlanningNode) -> Exchange:
-    """The node in this process; its messages are bytes on their way."""
+def on_own_street(*overrides: str) -> Negotiator:
+    """The runtime on the street that its policy learnt, in the place of the one between the kerbs.
+
+    Routes that are laid between kerbs begin 2.75 m earlier than those of the default street.
+    """
+    runtime, game = negotiator(*overrides), parts(*overrides)[1]
+    known = runtime.street(street_of(game.simulator.road, 1), 1.0, ORIGIN, HEADING)
+    runtime.street_between = lambda left, right, parked: known  # type: ignore[method-assign]
+    return runtime
+
+
+def in_process(node: PlanningNode, recording: Recording | None = None) -> Exchange:
+    """The node in this process; its messages are bytes on their way, and recorded in the order of `serve`."""
 
     def exchange(sent: Sent, stamp: int | None) -> dict[Topic, Message]:
         said: dict[Topic, Message] = {}
         for topic, message in sent:
-            node.take(topic, decode(encode(message), topic.type_name))
+            data = record(topic, message)
+            node.take(topic, decode(data, topic.type_name))
             due = node.due()
             if due is not None:
-                said |= {topic: decode(encode(each), topic.type_name) for topic, each in node.decide(due)}
+                said |= {topic: decode(record(topic, each), topic.type_name) for topic, each in node.decide(due)}
         return said
+
+    def record(topic: Topic, message: Message) -> bytes:
+        data = encode(message)
+        if recording is not None:
+            recording.add(topic, data)
+        return data
 
     return exchange
 
@@ -255,11 +277,11 @@ def in_process(node: PlanningNode) -> Exchange:
 class NodeProcess:
     """The node in a process of its own, on the loopback, and the other side of its topics."""
 
-    def __init__(self, *overrides: str, silence_s: float = 600.0, record: Path | None = None) -> None:
+    def __init__(self, silence_s: float = 600.0, record: Path | None = None) -> None:
         os.environ["CYCLONEDDS_URI"] = LOOPBACK
         context = get_context("spawn")
         self._domain, self._is_over = 100 + os.getpid() % 100, context.Event()
-        given = (self._domain, overrides, silence_s, record, self._is_over)
+        given = (self._domain, silence_s, record, self._is_over)
         self._process = context.Process(target=node_process, args=given, daemon=True)
 
     def __enter__(self) -> "NodeProcess":
@@ -303,13 +325,9 @@ class NodeProcess:
         return said
 
 
-def node_process(domain: int, overrides: tuple[str, ...], silence_s: float, record: Path | None, is_over: Event) -> None:
+def node_process(domain: int, silence_s: float, record: Path | None, is_over: Event) -> None:
     """What runs in the node's process."""
     torch.set_num_threads(1)
-    node, bus = PlanningNode(negotiator(*overrides), VEHICLE, 0.2), Bus(domain, INPUTS, OUTPUTS)
-    silence = Silence(silence_s, 0.2)
-    if record is None:
-        Served(node, bus, silence, None).run(is_over.is_set)
-        return
-    with Recording(record, VEHICLE.as_texts()) as file:
-        Served(node, bus, silence, file).run(is_over.is_set)
+    node, bus = PlanningNode(on_own_street(), VEHICLE, 0.2), Bus(domain, INPUTS, OUTPUTS)
+    with Recording(record, VEHICLE.as_texts()) if record else nullcontext() as file:
+        Served(node, bus, Silence(silence_s, 0.2), file).run(is_over.is_set)

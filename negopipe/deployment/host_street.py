@@ -89,6 +89,9 @@ def between_kerbs(left: Array, right: Array, parked: Array, settings: Settings, 
     for name, values, columns in (("left", left, 2), ("right", right, 2), ("parked", parked, 5)):
         if values.ndim != 2 or values.shape[1] != columns or not np.isfinite(values).all():
             raise UserError(f"{name} must be finite numbers of shape [n, {columns}], got {_found(values)}")
+    for name, kerb in (("left", left), ("right", right)):
+        if len(np.unique(kerb, axis=0)) < 2:
+            raise UserError(f"{name} must be a kerb of at least 2 different points, got {len(kerb)} points")
     line, left_m, right_m = middle_line([left], [right])
     if len(line.points) < 2 or not (np.isfinite(left_m) & np.isfinite(right_m)).all():
         raise UserError("left and right must be kerbs that run beside each other without holes, got others")

@@ -78,6 +78,13 @@ def test_a_street_that_cannot_be_is_refused(parked: np.ndarray, message: str) ->
         between(parked)
 
 
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_a_kerb_without_two_points_is_refused(n: int) -> None:
+    left = np.tile(turned(kerb(3.5))[:1], (n, 1))  # of one place
+    with pytest.raises(UserError, match="left must be a kerb of at least 2 different points"):
+        negotiator("safety=rss").street_between(left, turned(kerb(-3.5)), turned(PARKED))
+
+
 def test_a_direction_is_one_of_two() -> None:
     _, game, _ = parts()
     with pytest.raises(UserError, match="direction must be 1"):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from negopipe.deployment.middleware.codec import Message, decode, encode
+from negopipe.deployment.middleware.codec import decode, encode
 from negopipe.deployment.middleware.incoming import stamp_ns
 from negopipe.deployment.middleware.interface import DEBUG, INPUTS, TRAJECTORY
 from negopipe.deployment.middleware.planning_node import PlanningNode
@@ -48,21 +48,21 @@ def replay(path: Path, negotiator: Negotiator) -> Comparison:
     except (KeyError, ValueError) as error:
         raise UserError(f"{path} must hold the measures of its vehicle, got {error}") from error
     pairs = list(_pairs(path, PlanningNode(negotiator, vehicle, negotiator.settings.dt_s)))
-    both = [(one, two) for one, two in pairs if one is not None and two is not None]
-    places, speeds = (np.array([_difference(*pair)[i] for pair in both]) for i in range(2))
+    both = [(one, two) for one, two in pairs if one and two]
+    apart = np.array([_difference(*pair) for pair in both]).reshape(-1, 2)
     return Comparison(
         n_decisions=len(pairs),
-        n_trajectories=sum(one is not None for one, _ in pairs),
-        n_equal=sum(encode(one) == encode(two) for one, two in both),
-        n_unpaired=sum((one is None) != (two is None) for one, two in pairs),
-        largest_m=float(places.max(initial=0.0)),
-        largest_mps=float(speeds.max(initial=0.0)),
+        n_trajectories=sum(bool(one) for one, _ in pairs),
+        n_equal=sum(one == two for one, two in both),
+        n_unpaired=sum(bool(one) != bool(two) for one, two in pairs),
+        largest_m=float(apart[:, 0].max(initial=0.0)),
+        largest_mps=float(apart[:, 1].max(initial=0.0)),
     )
 
 
-def _pairs(path: Path, node: PlanningNode) -> Iterator[tuple[Message | None, Message | None]]:
-    """Recorded and new trajectory of each decision, None where there was none."""
-    stamp, recorded, new = None, None, None
+def _pairs(path: Path, node: PlanningNode) -> Iterator[tuple[bytes, bytes]]:
+    """Recorded and new trajectory of each decision, empty where there was none."""
+    stamp, recorded, new = None, b"", b""
     for topic, data in messages(path):
         try:
             message = decode(data, topic.type_name)
@@ -74,19 +74,20 @@ def _pairs(path: Path, node: PlanningNode) -> Iterator[tuple[Message | None, Mes
             if stamp_ns(message) != stamp:
                 if stamp is not None:
                     yield recorded, new
-                stamp, recorded = stamp_ns(message), None
-                new = dict(node.decide(stamp)).get(TRAJECTORY)
+                stamp, recorded = stamp_ns(message), b""
+                said = dict(node.decide(stamp))
+                new = encode(said[TRAJECTORY]) if TRAJECTORY in said else b""
             if topic is TRAJECTORY:
-                recorded = message
+                recorded = data
     if stamp is not None:
         yield recorded, new
 
 
-def _difference(one: Message, two: Message) -> tuple[float, float]:
+def _difference(one: bytes, two: bytes) -> tuple[float, float]:
     """Largest difference of a place, m, and of a speed, m/s, of two trajectories of one length."""
     rows = [
         np.array([[p.pose.position.x, p.pose.position.y, p.longitudinal_velocity_mps] for p in each.points])
-        for each in (one, two)
+        for each in (decode(data, TRAJECTORY.type_name) for data in (one, two))
     ]
     apart = rows[0] - rows[1]
     return float(np.hypot(apart[:, 0], apart[:, 1]).max()), float(np.abs(apart[:, 2]).max())

@@ -13,10 +13,10 @@ from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl
+from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
-from cyclonedds.internal import InvalidSample
 from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 from rosbags.interfaces import Nodetype

@@ -35,9 +35,7 @@ def yaw_of(orientation: Message) -> float:
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def ego_state(
-    odometry: Message, accel_mps2: float, desired_speed: float, vehicle: Vehicle, origin_ns: int
-) -> EgoState:
+def ego_state(odometry: Message, accel_mps2: float, desired_speed: float, vehicle: Vehicle, origin_ns: int) -> EgoState:
     """The ego at the time of its odometry; accel_mps2: along the path, NaN where it is not known."""
     pose, twist = odometry.pose.pose, odometry.twist.twist
     yaw, speed = yaw_of(pose.orientation), twist.linear.x

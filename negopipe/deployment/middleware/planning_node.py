@@ -8,7 +8,7 @@ reordered objects are the runtime's affair (`negotiator.py` has the table); the 
 |---|---|---|
 | message of another frame than `map` | left out | `left_out_frame` |
 | odometry or acceleration that is older than the newest | left out | `left_out_old` |
-| odometry older than the newest by more than `RESET_S` | a new clock; the runtime stops once | `stop` = clock |
+| odometry older by more than `RESET_S` than the newest, or than the last decision | a new clock: the runtime stops once | `stop` = clock |
 | objects older than the runtime's `gap_s` | left out; nothing was heard, without newer ones | `left_out_old` |
 | acceleration older than `gap_s` before the odometry | not known: the runtime stops | `stop` = ego_state |
 | street or parked vehicles that make no street | the street before is kept | `street` |
@@ -77,6 +77,7 @@ class PlanningNode:
         self._left_out: Counter[str] = Counter()
         self._origin_ns = 0
         self._decided_ns: int | None = None
+        self._has_moved = False  # an odometry was taken in since then
         self._objects_ns: int | None = None
         self._street: HostStreet | None = None
         self._limits: Array | None = None
@@ -105,7 +106,7 @@ class PlanningNode:
     def due(self) -> int | None:
         """Stamp of the decision that is due, ns; None where there is none."""
         newest_ns = self.newest_ns
-        if newest_ns is None:
+        if newest_ns is None or not self._has_moved:
             return None
         if self._decided_ns is None or newest_ns - self._decided_ns >= self._period_ns:
             return newest_ns
@@ -114,7 +115,7 @@ class PlanningNode:
     def decide(self, stamp: int) -> Outputs:
         """The decision for a time, ns: the newest odometry's, or later where the odometry has fallen silent."""
         began = time.perf_counter()
-        self._decided_ns = stamp
+        self._decided_ns, self._has_moved = stamp, False
         self._build_street()
         objects, ages = self._objects(stamp), self._ages(stamp)
         try:
@@ -142,6 +143,7 @@ class PlanningNode:
                 self._left_out["old"] += 1
                 return
         self._newest[topic] = message
+        self._has_moved |= topic is ODOMETRY
 
     def _build_street(self) -> None:
         """Make the street of the newest kerbs and parked vehicles, where these are new."""
