@@ -36,7 +36,8 @@ myst_enable_extensions = ["dollarmath"]
 autodoc_member_order = "bysource"
 autodoc_inherit_docstrings = False
 autodoc_typehints_format = "short"
-autodoc_mock_imports = [name for name in ("stable_baselines3", "pettingzoo") if importlib.util.find_spec(name) is None]
+EXTRAS = ("stable_baselines3", "pettingzoo", "rosbags", "mcap", "cyclonedds")
+autodoc_mock_imports = [name for name in EXTRAS if importlib.util.find_spec(name) is None]
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 100
 

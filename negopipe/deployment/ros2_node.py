@@ -29,10 +29,10 @@ LONGER_M = 0.01
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0 after Ctrl-C, or 1 after a line that says what is wrong."""
+    given = _parser().parse_args(arguments)
     logging.basicConfig(format="%(message)s", level=logging.INFO)
     try:
         need_packages()
-        given = _parser().parse_args(arguments)
         vehicle = Vehicle(given.wheel_base, given.front_overhang, given.rear_overhang)
         negotiator = Negotiator.load(given.folder)
         check_length(vehicle, negotiator)

@@ -47,7 +47,8 @@ def test_messages_drive_as_the_simulator_does() -> None:
 
 
 @pytest.mark.slow
-def test_a_node_over_dds_drives_as_in_process_and_as_the_simulator(tmp_path: Path, seed: int = 1) -> None:
+def test_a_node_over_dds_drives_as_in_process_and_as_the_simulator(tmp_path: Path) -> None:
+    seed = 1
     with NodeProcess(record=tmp_path / "drive.mcap") as node:
         done = drive(node.exchange, N_STEPS, seed=seed)
     assert node.exitcode == 0
@@ -61,8 +62,9 @@ def test_a_node_over_dds_drives_as_in_process_and_as_the_simulator(tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_lost_late_and_reordered_messages_over_dds(tmp_path: Path, seed: int = 2) -> None:
+def test_lost_late_and_reordered_messages_over_dds(tmp_path: Path) -> None:
     """Every odometry that comes in its turn gets its trajectory, and both vehicles arrive."""
+    seed = 2
     with NodeProcess(record=tmp_path / "drive.mcap") as node:
         done = drive(node.exchange, N_STEPS, seed=seed, losses=Losses(seed))
     here = drive_here(N_STEPS, seed, Losses(seed))

@@ -8,7 +8,7 @@ reordered objects are the runtime's affair (`negotiator.py` has the table); the 
 |---|---|---|
 | message of another frame than `map` | left out | `left_out_frame` |
 | odometry or acceleration that is older than the newest | left out | `left_out_old` |
-| odometry older by more than `RESET_S` than the newest, or than the last decision | a new clock: the runtime stops once | `stop` = clock |
+| odometry more than `RESET_S` before the newest, or the last decision | a new clock: one stop | `stop` = clock |
 | objects older than the runtime's `gap_s` | left out; nothing was heard, without newer ones | `left_out_old` |
 | acceleration older than `gap_s` before the odometry | not known: the runtime stops | `stop` = ego_state |
 | street or parked vehicles that make no street | the street before is kept | `street` |
