@@ -6,11 +6,13 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from itertools import count
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import numpy as np
+import pytest
 import ros_packages  # noqa: F401
 import torch
 from games import draw_tasks
@@ -55,6 +57,8 @@ LOOPBACK = (
     "</Domain></CycloneDDS>"
 )
 PATIENCE_S = 60.0
+COUNTER = count()
+"""Each node has a DDS domain of its own: the last one's topics are remembered for some seconds."""
 
 Sent = list[tuple[Topic, Message]]
 Exchange = Callable[[Sent, int | None], dict[Topic, Message]]
@@ -278,13 +282,14 @@ class NodeProcess:
     """The node in a process of its own, on the loopback, and the other side of its topics."""
 
     def __init__(self, silence_s: float = 600.0, record: Path | None = None) -> None:
-        os.environ["CYCLONEDDS_URI"] = LOOPBACK
+        self._patch = pytest.MonkeyPatch()
         context = get_context("spawn")
-        self._domain, self._is_over = 100 + os.getpid() % 100, context.Event()
+        self._domain, self._is_over = 100 + (os.getpid() + next(COUNTER)) % 100, context.Event()
         given = (self._domain, silence_s, record, self._is_over)
         self._process = context.Process(target=node_process, args=given, daemon=True)
 
     def __enter__(self) -> "NodeProcess":
+        self._patch.setenv("CYCLONEDDS_URI", LOOPBACK)
         self._process.start()
         self.bus = Bus(self._domain, OUTPUTS, INPUTS)
         end_s = time.monotonic() + PATIENCE_S
@@ -294,6 +299,7 @@ class NodeProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._patch.undo()
         self._is_over.set()
         self._process.join(PATIENCE_S)
         self.exitcode = self._process.exitcode

@@ -31,11 +31,23 @@ ORIGIN, HEADING = np.array([300.0, -40.0]), 2.5
 """Where the host's map has the corridor's middle, and the line's heading there."""
 
 
+GENERALIST = (
+    "checkpoint=pretrained/generalist",
+    "observation=objects",
+    "policy=objects",
+    "planner=reversing",
+    "policy.horizons_s=[0.0,2.0,4.0,6.0,inf]",
+    "perception.range_m=60.0",
+)
+"""Overrides for the policy that learnt many streets."""
+
+
 @cache
 def parts(*overrides: str) -> tuple[RunConfig, Game, Policy]:
-    """Config, game and the policy that comes with negopipe."""
-    config = tiny_config("yield", "policy.precision=float32", *overrides)
-    policy = exported(load_policy(find_checkpoint("pretrained/yield", config), config))
+    """Config, game and a policy that comes with negopipe."""
+    precision = () if "policy=objects" in overrides else ("policy.precision=float32",)
+    config = tiny_config("yield", *precision, *overrides)
+    policy = exported(load_policy(find_checkpoint(config.checkpoint or "pretrained/yield", config), config))
     return config, build_game(config), policy
 
 

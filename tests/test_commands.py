@@ -34,12 +34,15 @@ exec {sys.executable} "$@"
 """
 """Stands for python: what follows a command's own settings makes it small."""
 
+MEASURES = "--wheel-base 2.7 --front-overhang 0.9 --rear-overhang 0.9"
 NOT_RUN = {
     "make ui": "a server",
     "make play": "a server",
     "python -m negopipe.play play.port=8080 play.participant=p07": "a server",
     "make test": "the tests themselves",
     "make docs-serve": "a server",
+    f"python -m negopipe.deployment.ros2_node outputs/export/yield {MEASURES} --record drive.mcap": "a server",
+    "python -m negopipe.deployment.replay drive.mcap outputs/export/yield": "needs a recording",
     "bash jobs/tracking_server.sh": "a server, used by the commands after it",
     "source .venv/bin/activate": "the environment of the tests",
     "pre-commit install": "changes the checkout's hooks",

@@ -72,7 +72,7 @@ class Settings:
             n_times=round(planner["horizon_s"] / dt_s),
             n_past=1 + (observation["n_frames"] - 1) * stride,
             n_others=n_others,
-            horizons_s=tuple(config["policy"]["horizons_s"]),
+            horizons_s=tuple(map(float, config["policy"]["horizons_s"])),  # JSON has inf as a text
             accel_window_s=config["perception"]["accel_window_s"],
             before="unknown" if _knows_unseen(config["perception"]) else "driven",
             full_braking_mps2=planner["limits"]["full_braking_mps2"],

@@ -43,7 +43,8 @@ def ros_node(answers: Any) -> None:
     rclpy.shutdown()
 
 
-def test_a_node_of_ros_2_hears_and_is_heard() -> None:
+def test_a_node_of_ros_2_hears_and_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     context = get_context("spawn")
     answers = context.Queue()
     bus = Bus(DOMAIN, INPUTS, OUTPUTS)

@@ -18,13 +18,14 @@ from ros_drives import (
     on_own_street,
     sensed,
 )
-from runtime_drives import drive_in_simulator, places
+from runtime_drives import GENERALIST, drive_in_simulator, negotiator, places
 
 from negopipe.deployment.middleware import again
 from negopipe.deployment.middleware.codec import decode
 from negopipe.deployment.middleware.incoming import NS, stamp_ns
 from negopipe.deployment.middleware.interface import DEBUG, TRAJECTORY
 from negopipe.deployment.middleware.planning_node import PlanningNode
+from negopipe.simulation.state import EGO
 
 N_STEPS = 72
 SILENCE_S = 5.0
@@ -75,6 +76,16 @@ def test_lost_late_and_reordered_messages_over_dds(tmp_path: Path) -> None:
     assert done.worlds[-1].has_reached.all()
     replayed = again.replay(tmp_path / "drive.mcap", on_own_street())
     assert replayed.n_equal == replayed.n_decisions == len(done.trajectories)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_a_policy_of_many_streets_drives_between_kerbs(seed: int) -> None:
+    node = PlanningNode(negotiator(*GENERALIST), VEHICLE, 0.2)
+    done = drive(in_process(node), N_STEPS, *GENERALIST, seed=seed)
+    assert {each["street"] for each in done.debug} == {"known"}
+    assert done.worlds[-1].has_reached[0, EGO]
+    assert not done.worlds[-1].has_collided.any()
 
 
 @pytest.mark.slow
