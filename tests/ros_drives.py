@@ -22,7 +22,7 @@ from negopipe.deployment import EgoState, HostStreet, Negotiator, ObjectState
 from negopipe.deployment.decision_file import street_of
 from negopipe.deployment.middleware.codec import Message, decode, encode, make
 from negopipe.deployment.middleware.dds import Bus
-from negopipe.deployment.middleware.incoming import NS, yaw_of
+from negopipe.deployment.middleware.incoming import NS, stamp_ns, yaw_of
 from negopipe.deployment.middleware.interface import (
     ACCELERATION,
     DEBUG,
@@ -233,9 +233,8 @@ def drive(exchange: Exchange, n_steps: int, *overrides: str, seed: int, losses: 
 
 def state_at(trajectory: Message, stamp: int) -> VehicleState:
     """The ego as it is at a time that is one of the trajectory's points, [1], in the simulator's frame."""
-    begin = trajectory.header.stamp.sec * NS + trajectory.header.stamp.nanosec
     after = {p.time_from_start.sec * NS + p.time_from_start.nanosec: p for p in trajectory.points}
-    point = after[stamp - begin]
+    point = after[stamp - stamp_ns(trajectory)]
     yaw, speed = yaw_of(point.pose.orientation), point.longitudinal_velocity_mps
     ahead_m, position = VEHICLE.base_to_middle_m, point.pose.position
     x, y = position.x + ahead_m * math.cos(yaw), position.y + ahead_m * math.sin(yaw)
@@ -317,7 +316,7 @@ class NodeProcess:
         return said
 
     def decision(self, stamp: int) -> dict[Topic, Message]:
-        """What the node says for a stamp."""
+        """What the node says for a stamp; stops of a silence may come before."""
         said: dict[Topic, Message] = {}
         end_s = time.monotonic() + PATIENCE_S
         while not (TRAJECTORY in said and DEBUG in said):
@@ -325,8 +324,7 @@ class NodeProcess:
             self.bus.wait(0.5)
             for topic, data in self.bus.take():
                 message = decode(data, topic.type_name)
-                if topic in (TRAJECTORY, DEBUG):
-                    assert message.header.stamp.sec * NS + message.header.stamp.nanosec == stamp
+                if topic in (TRAJECTORY, DEBUG) and stamp_ns(message) == stamp:
                     said[topic] = message
         return said
 

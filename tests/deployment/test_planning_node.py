@@ -1,5 +1,6 @@
 """The node without a transport: when it decides, and what it does about messages that are missing, old or wrong."""
 
+import math
 from functools import cache
 
 import numpy as np
@@ -150,6 +151,20 @@ def test_an_acceleration_that_is_lost_for_long_is_a_stop() -> None:
         scene.send(BEGIN_NS + step * STEP_NS, without=(ACCELERATION,) if step else ())
         stops.append(values(scene.decide())["stop"])
     assert stops == ["", "", "", "", "ego_state", "ego_state"]
+
+
+def test_an_odometry_of_nan_is_a_stop_of_finite_numbers() -> None:
+    scene = Scene()
+    scene.send(BEGIN_NS)
+    scene.decide()
+    scene.send(BEGIN_NS + STEP_NS, without=(ODOMETRY,))
+    broken = odometry(scene.ego(BEGIN_NS + STEP_NS), BEGIN_NS + STEP_NS)
+    broken.pose.pose.position.x = broken.pose.pose.position.z = broken.twist.twist.linear.x = math.nan
+    scene.node.take(ODOMETRY, broken)
+    said = scene.decide()
+    assert values(said)["stop"] == "ego_state"
+    places = [(p.pose.position.x, p.pose.position.y, p.pose.position.z) for p in said[TRAJECTORY].points]
+    assert np.isfinite(places).all()
 
 
 def test_a_street_that_cannot_be_leaves_the_one_before() -> None:

@@ -122,7 +122,8 @@ class PlanningNode:
             plan = self._plan(stamp, objects)
         except UserError as error:
             return [(DEBUG, debug_message(stamp, ERROR, str(error), self._values(ages)))]
-        z = self._newest[ODOMETRY].pose.pose.position.z
+        measured_z = self._newest[ODOMETRY].pose.pose.position.z
+        z = measured_z if math.isfinite(measured_z) else 0.0
         level, text = verdict(plan)
         values = diagnostic_values(plan) | self._values(ages) | {"decision_ms": (time.perf_counter() - began) * 1e3}
         assert self._limits is not None
