@@ -78,17 +78,17 @@ class Situation(NamedTuple):
         own = map_tensors(_flatten, perception.own)
         other = map_tensors(lambda field: _flatten(field).transpose(0, 1), perception.other)
         direction, desired_speed = perception.direction.flatten(), perception.desired_speed.flatten()
-        size = (perception.length.flatten(), perception.width.flatten())
+        own_size = perception.length.flatten(), perception.width.flatten()
         *fields, direction, desired_speed, length, width = materialize(
-            *road.to_route(own, direction), direction, desired_speed, *size
+            *road.to_route(own, direction), direction, desired_speed, *own_size
         )
         is_seen, *other_size = (
             _flatten(field).transpose(0, 1)
             for field in (perception.is_seen, perception.other_length, perception.other_width)
         )
         others = Others.of(road, other, direction, is_seen, sizes.of(*materialize(*other_size)))
-        size = sizes.of(length, width)
-        return Situation(RouteState(*fields), direction, desired_speed, horizon.flatten(), size, others)
+        route, size = RouteState(*fields), sizes.of(length, width)
+        return Situation(route, direction, desired_speed, horizon.flatten(), size, others)
 
 
 def _flatten(field: Tensor) -> Tensor:
