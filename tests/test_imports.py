@@ -11,7 +11,12 @@ import negopipe
 
 PACKAGE = Path(negopipe.__file__).parent
 
-LOWER = {"benchmark.speed": "search", "deployment.options": "search", "play.options": "search"}
+LOWER = {
+    "benchmark.speed": "search",
+    "deployment.options": "search",
+    "deployment.vehicle.options": "search",
+    "play.options": "search",
+}
 """Modules that stand lower than their package, beside another: the root config holds their options."""
 
 APART = {

@@ -16,6 +16,7 @@ from negopipe.checks import Foresight, Memory, Problem
 from negopipe.config.messages import explain_composition, explain_validation, misread
 from negopipe.config.renamed import renamings
 from negopipe.deployment.options import ExportConfig
+from negopipe.deployment.vehicle.options import VehicleConfig
 from negopipe.errors import UserError, abbreviate
 from negopipe.evaluation.behaviour_map import BehaviourMapConfig
 from negopipe.evaluation.cross_play import CrossPlayConfig
@@ -52,7 +53,7 @@ WITHOUT_POLICY = {"behaviour_map", "oracle", "streets", "benchmark"}
 
 RESULT_NEUTRAL = {
     "name", "objective", "seed", "outputs", "stages", "rerun", "reuse", "n_threads", "report", "episode", "encounter",
-    "play", "tracking",
+    "play", "tracking", "vehicle",
 }  # fmt: skip
 """Keys that `run_name` leaves out of its hash: the place of a run, the part of it that runs now, the display of its
 results. `n_threads` is among them because threads change rounding at most. `device` and `compile` are not: they draw
@@ -96,6 +97,7 @@ class RunConfig:
     benchmark: BenchmarkConfig
     export: ExportConfig
     play: PlayConfig
+    vehicle: VehicleConfig
 
     @property
     def evaluated_families(self) -> Families:
@@ -168,6 +170,7 @@ def _problems(config: RunConfig) -> Iterator[Problem]:
     yield from config.observation.check(dt_s)
     yield from config.perception.check(dt_s)
     yield from config.dynamics.check(dt_s)
+    yield from config.vehicle.check(dt_s)
     yield from check_policy(config.policy, config.observation.layout, dt_s, foresight)
     yield from scenario.check(foresight)
     if scenario.absent_queue_share > 0 and config.perception.range_m is None:

@@ -44,7 +44,7 @@ from negopipe.deployment.host_street import HostStreet, Surround, Tables, betwee
 from negopipe.deployment.manifest import DECISION_NAME, STREET_NAME, read_manifest
 from negopipe.deployment.messages import Array, Diagnostics, EgoState, ObjectState, Trajectory, is_finite
 from negopipe.deployment.onnx_session import Graph
-from negopipe.deployment.settings import Settings
+from negopipe.deployment.settings import Footprint, Settings
 from negopipe.deployment.stop import stop_along
 from negopipe.deployment.tracks import Tracks
 from negopipe.errors import UserError
@@ -123,6 +123,11 @@ class Negotiator:
         has_street = STREET_NAME in manifest["files"]
         surround = Graph(folder / STREET_NAME) if has_street else _nothing_around
         return Negotiator(Settings.of(manifest["config"]), Graph(folder / DECISION_NAME), surround)
+
+    def anew(self, length_m: float, width_m: float) -> "Negotiator":
+        """The negotiator of another drive, of a vehicle of that size; streets can be shared."""
+        settings = replace(self.settings, ego=Footprint(length_m, width_m))
+        return Negotiator(settings, self._decide, self._surround)
 
     def street(self, street: Street, direction: float, origin: Array, heading: float) -> HostStreet:
         """A sampled street as the ego drives along it (+1) or against it (-1).

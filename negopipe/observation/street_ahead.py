@@ -41,7 +41,7 @@ class StreetAhead:
 
     def at(self, s: Tensor, direction: Tensor) -> Tensor:
         """[..., N_FEATURES] float32 at places s [...] (m) of vehicles that drive in `direction` [...]."""
-        place = ((s + AROUND_M) * (1 / KNOT_M)).clamp(0, self._n_knots - 1.001)
+        place = ((s + AROUND_M) * (1 / KNOT_M)).clamp(0.0, self._n_knots - 1.001)
         knot = torch.floor(place)
         index = self.road.way(direction) * self._n_knots + knot.long()
         before, after = self._table[index], self._table[index + 1]

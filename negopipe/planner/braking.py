@@ -111,7 +111,7 @@ class BrakingCandidates:
         speed, accel = route.s_dot, route.s_ddot
         levels, jerks = [], []
         for decels, positions, margins, jerk in self._groups:
-            places = torch.cat([positions - route.s, free_m - margins]).clamp(0, FARTHEST_M)
+            places = torch.cat([positions - route.s, free_m - margins]).clamp(0.0, FARTHEST_M)
             levels += [decels.expand(-1, len(speed)), level_to_rest(speed, accel, places, jerk)]
             jerks.append(jerk.expand(len(decels) + len(places), 1))
         return self._follow(speed, accel, _phases(speed, accel, torch.cat(levels), torch.cat(jerks)))
