@@ -191,7 +191,7 @@ class Objects:
         now = torch.stack(self._now(perception, place, pose[:, 0], s[:, 0], is_oncoming), -1)
         now = torch.where(is_seen[:, 0, :, None], now, 0.0)
         is_known = is_seen.any(1)
-        known = torch.stack([is_known, is_known & is_oncoming, self._unseen(perception)], -1)
+        known = torch.stack([is_known.float(), (is_known & is_oncoming).float(), self._unseen(perception)], -1)
         apart = (s.gather(1, newest)[:, 0] - place.route.s[:, None]).abs()
         described = torch.cat([torch.where(is_known[..., None], known, 0.0), now, frames], -1)
         return described, torch.where(is_known, apart, torch.inf)

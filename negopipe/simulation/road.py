@@ -157,7 +157,7 @@ class Road(ABC):
     @property
     def ways(self) -> Tensor:
         """[2B] float32: direction of every way: along the first street, against it, along the second, ..."""
-        along = torch.arange(1.0, 1 + self.n_streets, device=self.device)
+        along = torch.arange(1.0, 1.0 + self.n_streets, device=self.device)
         return torch.stack([along, -along], -1).flatten()
 
     def way(self, direction: Tensor) -> Tensor:

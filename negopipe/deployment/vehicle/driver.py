@@ -1,11 +1,13 @@
-"""The ego of the simulator's evaluation, driven by a car, its sensors and the runtime."""
+"""The egos of the simulator's evaluation, each driven by a car, its sensors and the runtime."""
 
+from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from negopipe.deployment.host_street import HostStreet
-from negopipe.deployment.messages import Diagnostics, Trajectory
+from negopipe.deployment.messages import Array, Diagnostics, Trajectory
 from negopipe.deployment.negotiator import Negotiator
 from negopipe.deployment.vehicle.body import CarState
 from negopipe.deployment.vehicle.cars import Car
@@ -14,10 +16,8 @@ from negopipe.simulation.perception import Perception
 from negopipe.simulation.state import Motion, VehicleState
 
 
-class VehicleDriver:
-    """Drives the ego of one world (E = 1): sees the others as they are, and returns where the car gets.
-
-    The world's perception must be perfect: the errors are those of the sensors here.
+class Vehicle:
+    """A car with its sensors and the runtime, on one drive.
 
     decided: what the runtime said, per decision
     """
@@ -26,42 +26,57 @@ class VehicleDriver:
         self.car, self.decided = car, list[Trajectory]()
         self._runtime, self._street, self._sensor, self._dt_s = runtime, street, sensor, dt_s
 
-    def drive(self, perception: Perception) -> Motion:
-        """The motion of the car until the next decision, [1, 1]."""
-        now_s = len(self.decided) * self._dt_s
-        objects = self._sensor.hear(others_of(perception, now_s))
-        plan = self._runtime.decide(self.car.tell(now_s), objects, self._street, now_s)
-        self.decided.append(plan)
-        self.car.drive(plan, now_s, now_s + self._dt_s)
-        return Motion(
-            _vehicle_state(self.car.state),
-            torch.full((1, 1), plan.horizon_s, dtype=torch.float32),
-            torch.full((1, 1), plan.is_full_braking),
-        )
-
     @property
     def said(self) -> list[Diagnostics]:
         """What the runtime did about its inputs, per decision."""
         return [plan.diagnostics for plan in self.decided]
 
+    def drive(self, others: Array) -> None:
+        """Decide and drive until the next decision; others: `Others.rows` as they are now."""
+        now_s = len(self.decided) * self._dt_s
+        objects = self._sensor.hear(Others(now_s, others))
+        plan = self._runtime.decide(self.car.tell(now_s), objects, self._street, now_s)
+        self.decided.append(plan)
+        self.car.drive(plan, now_s, now_s + self._dt_s)
 
-def others_of(perception: Perception, time_s: float) -> Others:
-    """The others as a perfect perception of one agent in one world sees them."""
+    def is_at(self, x: float, y: float) -> bool:
+        """Whether the car is there: an episode that is over stays where it ended, and its car would drive on."""
+        return bool(np.float32(self.car.state.x) == np.float32(x) and np.float32(self.car.state.y) == np.float32(y))
+
+
+class Fleet:
+    """Driver of the egos of E worlds, one vehicle each; all worlds are driven in lockstep.
+
+    The worlds' perception must be perfect: the errors are those of the vehicles' sensors.
+    """
+
+    def __init__(self, vehicles: Sequence[Vehicle]) -> None:
+        self.vehicles = vehicles
+
+    def drive(self, perception: Perception) -> Motion:
+        """Where the cars get until the next decision, [E, 1]."""
+        others, at = others_of(perception), perception.own.position[:, 0].tolist()
+        for vehicle, rows, (x, y) in zip(self.vehicles, others, at, strict=True):
+            if vehicle.is_at(x, y):
+                vehicle.drive(rows)
+        last = [vehicle.decided[-1] for vehicle in self.vehicles]
+        horizon = torch.tensor([plan.horizon_s for plan in last])[:, None]
+        return Motion(self._states(), horizon, torch.tensor([plan.is_full_braking for plan in last])[:, None])
+
+    def _states(self) -> VehicleState:
+        states = torch.tensor([vehicle.car.state for vehicle in self.vehicles], dtype=torch.float32)[:, None]
+        return VehicleState(states[..., :2], *states[..., 2:].unbind(-1))
+
+
+def others_of(perception: Perception) -> Array:
+    """[E, O, 6]: `Others.rows` as a perfect perception of one agent sees them."""
     other = perception.other
-    columns = [other.position[0, 0, :, 0], other.position[0, 0, :, 1], other.yaw[0, 0], other.speed[0, 0]]
-    columns += [perception.other_length[0, 0], perception.other_width[0, 0]]
-    return Others(time_s, torch.stack(columns, -1).double().numpy())
+    columns = [*other.position.unbind(-1), other.yaw, other.speed, perception.other_length, perception.other_width]
+    return torch.stack(columns, -1)[:, 0].double().numpy()
 
 
-def start_of(perception: Perception) -> CarState:
-    """The state of the agent."""
+def starts_of(perception: Perception) -> list[CarState]:
+    """States of the agents of E worlds."""
     own = perception.own
-    numbers = [own.position[..., 0], own.position[..., 1], own.yaw, own.speed, own.accel, own.curvature]
-    return CarState(*(float(number) for number in numbers))
-
-
-def _vehicle_state(car: CarState) -> VehicleState:
-    def one(number: float) -> Tensor:
-        return torch.full((1, 1), number, dtype=torch.float32)
-
-    return VehicleState(torch.tensor([[[car.x, car.y]]], dtype=torch.float32), *(one(number) for number in car[2:]))
+    columns: list[Tensor] = [*own.position.unbind(-1), own.yaw, own.speed, own.accel, own.curvature]
+    return [CarState(*row) for row in torch.cat(columns, 1).tolist()]

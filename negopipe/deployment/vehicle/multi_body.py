@@ -5,8 +5,10 @@ the extra `vehicle`.
 """
 
 import math
+from collections.abc import Callable
+from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 from negopipe.deployment.vehicle.body import Body, Geometry
 from negopipe.errors import UserError
@@ -15,27 +17,41 @@ NUMBERS = {"ford_escort": 1, "bmw_320i": 2, "vw_vanagon": 3}
 """Number of the parameters of a car in commonroad-vehicle-models."""
 
 
+class _Package(NamedTuple):
+    """What is used of the package: the parameters of a car, its derivatives, its state of balance."""
+
+    parameters: Any
+    derivatives: Callable[[list[float], list[float], Any], list[float]]
+    initial: Callable[[list[float], Any], list[float]]
+
+
+@cache
+def _of_package(car: str) -> _Package:
+    """Read once: the package takes a second to read the parameters."""
+    name = f"parameters_vehicle{NUMBERS[car]}"
+    try:
+        parameters = getattr(import_module(f"vehiclemodels.{name}"), name)()
+        derivatives = import_module("vehiclemodels.vehicle_dynamics_mb").vehicle_dynamics_mb
+        initial = import_module("vehiclemodels.init_mb").init_mb
+    except ImportError as error:
+        raise UserError(
+            "a car needs commonroad-vehicle-models (pip install 'negopipe[vehicle]'), got no such package"
+        ) from error
+    return _Package(parameters, derivatives, initial)
+
+
 class MultiBody:
     """One car; it must move forwards.
 
-    The state's reference is the centre of mass. An explicit step of Euler of 1 ms is what the package's authors
-    take; the wheels' spin rings with longer ones.
+    The state's reference is the centre of mass. Steps are explicit ones of Euler; with longer ones than 1 ms the spin of
+    the wheels rings.
     """
 
     def __init__(self, car: str) -> None:
         """car: one of `NUMBERS`. UserError where the package is missing."""
-        try:
-            made = import_module(f"vehiclemodels.parameters_vehicle{NUMBERS[car]}")
-            self._derivatives = import_module("vehiclemodels.vehicle_dynamics_mb").vehicle_dynamics_mb
-            self._initial = import_module("vehiclemodels.init_mb").init_mb
-        except ImportError as error:
-            raise UserError(
-                "a car needs commonroad-vehicle-models (pip install negopipe[vehicle]), got no such package"
-            ) from error
-        self._parameters: Any = getattr(made, f"parameters_vehicle{NUMBERS[car]}")()
+        self._parameters, self._derivatives, self._initial = _of_package(car)
         steering = self._parameters.steering
-        wheelbase_m = self._parameters.a + self._parameters.b
-        self.geometry = Geometry(wheelbase_m, steering.max, steering.v_max)
+        self.geometry = Geometry(self._parameters.a + self._parameters.b, steering.max, steering.v_max)
         self._state: list[float] = []
 
     def start(self, body: Body) -> None:
