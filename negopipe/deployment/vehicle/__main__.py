@@ -1,7 +1,8 @@
-"""Encounters of real cars with an exported policy: `python -m negopipe.deployment.vehicle <export> <table> [override ...]`.
+"""Encounters of real cars with an exported policy.
 
-The overrides are those of the tasks: other vehicles, street, `vehicle`. Every encounter is a row of the table as soon as
-it is driven; what the table has already is not driven again. The figures of all rows are printed at the end.
+`python -m negopipe.deployment.vehicle <export> <table> [override ...]`. The overrides are those of the tasks: other
+vehicles, street, `vehicle`. Every encounter is a row of the table as soon as its block is driven; what the table has
+already is not driven again. The figures of all rows are printed at the end.
 """
 
 import argparse
@@ -48,8 +49,9 @@ def drive_missing(given: argparse.Namespace) -> None:
     if unknown := [car for car in cars if car not in CARS]:
         raise UserError(f"--cars must be of {', '.join(CARS)}, got {unknown[0]}")
     config = compose_config([*given.overrides, "device=cpu", "compile=off"])
-    if not 0 < given.tasks <= config.evaluation.n_episodes:
-        raise UserError(f"--tasks must be 1 to evaluation.n_episodes = {config.evaluation.n_episodes}, got {given.tasks}")
+    n_most = config.evaluation.n_episodes
+    if not 0 < given.tasks <= n_most:
+        raise UserError(f"--tasks must be 1 to evaluation.n_episodes = {n_most}, got {given.tasks}")
     encounters = Encounters(config, partial(Negotiator.load, given.export))
     table, policy = read_rows(given.table), given.export.resolve().name
     jobs: list[Callable[[], None]] = []

@@ -43,8 +43,8 @@ def _of_package(car: str) -> _Package:
 class MultiBody:
     """One car; it must move forwards.
 
-    The state's reference is the centre of mass. Steps are explicit ones of Euler; with longer ones than 1 ms the spin of
-    the wheels rings.
+    The state's reference is the centre of mass. Steps are explicit ones of Euler; the wheels' spin is stiff, so they
+    must be short.
     """
 
     def __init__(self, car: str) -> None:

@@ -1,8 +1,10 @@
 """Options of the closed loop with a car."""
 
 from collections.abc import Iterator
+
 from negopipe.checks import Problem
 from negopipe.schema import Fraction, Interval, NonNegativeFloat, NonNegativeMetres, PositiveFloat, schema
+
 
 @schema
 class ActuatorConfig:

@@ -66,9 +66,9 @@ class ObjectSensor:
         if is_gone:
             return
         frame = [
-            ObjectState(f"car {number}", time_s, *one.tolist(), float(size[0]), float(size[1]))
-            for number, (one, size, lost) in enumerate(zip(seen, rows[:, 4:], is_lost, strict=True))
-            if not lost
+            ObjectState(f"car {number}", time_s, x, y, yaw, speed, *map(float, size))
+            for number, ((x, y, yaw, speed), size) in enumerate(zip(seen.tolist(), rows[:, 4:], strict=True))
+            if not is_lost[number]
         ]
         self._channel.send(frame, time_s + latency_s)
 
