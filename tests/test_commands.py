@@ -52,11 +52,15 @@ NAMING = ("Makefile", "conf/config.yaml", "jobs/README.md", "outputs/README.md")
 NEEDS = {"joblib": "hydra_plugins.hydra_joblib_launcher", "submitit": "submitit", "ray": "ray", "optuna": "optuna"}
 EXPORTS = "negopipe.deployment"
 """Part of the commands that need the packages of the extra `export`."""
+CARS = "negopipe.deployment.vehicle "
+"""Part of the commands that need the packages of the extra `vehicle`."""
 
 
 def missing_engine(command: str) -> str | None:
     if EXPORTS in command and importlib.util.find_spec("onnxruntime") is None:
         return "onnxruntime"
+    if CARS in command and importlib.util.find_spec("vehiclemodels") is None:
+        return "commonroad-vehicle-models"
     engines = {name for name in NEEDS if re.search(rf"(launcher|sweeper)={name}", command)}
     return next((name for name in engines if importlib.util.find_spec(NEEDS[name]) is None), None)
 

@@ -107,7 +107,6 @@ class Negotiator:
     def __init__(self, settings: Settings, decide: Decide, surround: Surround) -> None:
         self.settings, self._decide, self._surround = settings, decide, surround
         self._times_s = settings.dt_s * np.arange(settings.n_times + 1)
-        self._n_seen = 0
         self._forget()
         self._memory: Memory | None = None
 

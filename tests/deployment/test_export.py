@@ -101,9 +101,18 @@ def test_a_row_takes_the_place_of_the_same_export(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_whole_decision_is_the_planners(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "given",
+    [
+        ("pretrained/yield", "+experiment=yield"),
+        ("pretrained/generalist", "+experiment=generalist", "safety=rss", "export.capacity.n_others=2"),
+    ],
+    ids=lambda given: given[0].removeprefix("pretrained/"),
+)
+def test_a_whole_decision_is_the_planners(given: tuple[str, ...], tmp_path: Path) -> None:
     """The graph takes minutes to write."""
-    given = ["pretrained/yield", str(tmp_path), "+experiment=yield", "export.n_selftest=4", "export.n_worlds=8"]
-    assert main([*given, "export.files=[policy,decision]"]) == 0
+    checkpoint, *overrides = given
+    small = ("export.n_selftest=4", "export.n_worlds=8", "export.files=[policy,decision]")
+    assert main([checkpoint, str(tmp_path), *overrides, *small]) == 0
     parity = verify_decision(tmp_path, n_decisions=80)
     assert parity.n_same_horizon == parity.n_same == parity.n_same_step == parity.n_decisions == 80
