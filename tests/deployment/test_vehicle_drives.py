@@ -6,12 +6,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 from composed import compose_config
 from games import IN_ONE_PROCESS
-from runtime_drives import negotiator, parts
+from runtime_drives import negotiator
 
-from negopipe.agents.driver import HorizonDriver
 from negopipe.deployment.vehicle import __main__ as command
 from negopipe.deployment.vehicle.cars import CARS, PERFECT, tracked
 from negopipe.deployment.vehicle.encounters import Encounters
@@ -19,10 +17,6 @@ from negopipe.deployment.vehicle.multi_body import MultiBody
 from negopipe.deployment.vehicle.rows import KEYS, add_rows, missing, read_rows, rows_of
 from negopipe.deployment.vehicle.summary import summary
 from negopipe.errors import UserError
-from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.held_out import held_out_tasks
-from negopipe.policy.actor_critic import greedy_action
-from negopipe.tensors.tree import map_tensors
 
 TASKS = ("+experiment=yield", *IN_ONE_PROCESS, "evaluation.n_episodes=4", "scenario.episode_steps=100")
 
@@ -93,21 +87,6 @@ def test_a_car_without_its_package_says_what_to_install(monkeypatch: pytest.Monk
     monkeypatch.setattr("negopipe.deployment.vehicle.multi_body.NUMBERS", {"ford_escort": 9})
     with pytest.raises(UserError, match=r"negopipe\[vehicle\]"):
         MultiBody("ford_escort")
-
-
-@pytest.mark.slow
-def test_a_perfect_car_with_perfect_sensors_drives_as_the_simulator_s_ego() -> None:
-    objects = ("period_s=0.2", "latency_s=[0.0,0.0]", "lost_frames=0.0", "lost_objects=0.0")
-    deviations = ("position_std_m=0.0", "yaw_std_rad=0.0", "speed_std_mps=0.0")
-    driven = encounters(*(f"vehicle.objects.{each}" for each in (*objects, *deviations))).drive(PERFECT, "yield", [0])
-    config, game, policy = parts()
-    (task,) = [map_tensors(lambda field: field[:1], held_out_tasks(compose_config(TASKS), game, "yield"))]
-    horizons = torch.tensor(config.policy.horizons_s)
-    choose = HorizonDriver(lambda seen: horizons[greedy_action(policy(game.draw(seen))[0])][:, None], game.plan)
-    trace = drive_episodes(game, lambda key: choose, task, 1, config.evaluation.reward, ("adaptive", "yield"))
-    n = int(trace.n_steps[0])
-    assert n == driven.trace.n_steps[0]
-    np.testing.assert_allclose(driven.trace.position_m[: n + 1], trace.position_m[: n + 1], atol=0.05)
 
 
 @pytest.mark.slow
