@@ -64,8 +64,16 @@ def road(key: str) -> Callable[[Config, Config], bool]:
     return lambda tested, trained: is_apart(tested["scenario"]["road"][key], trained["scenario"]["road"][key])
 
 
-def scenario(*keys: str) -> Callable[[Config, Config], bool]:
-    return lambda tested, trained: any(is_apart(tested["scenario"][key], trained["scenario"][key]) for key in keys)
+def numbers(values: Config) -> dict[str, set[int]]:
+    """Numbers of oncoming vehicles and of followers that occur."""
+    scenario = values["scenario"]
+    without_queue = {"n_social": 1, "n_followers": 0} if scenario["absent_queue_share"] > 0 else {}
+    return {key: {scenario[key], without_queue.get(key, scenario[key])} for key in ("n_social", "n_followers")}
+
+
+def has_another_number(tested: Config, trained: Config) -> bool:
+    known = numbers(trained)
+    return any(occurring.isdisjoint(known[key]) for key, occurring in numbers(tested).items())
 
 
 def start(key: str) -> Callable[[Config, Config], bool]:
@@ -88,7 +96,7 @@ OUTSIDE: dict[str, Callable[[Config, Config], bool]] = {
     "bend": lambda tested, trained: min(low for low, _ in turns(tested)) > max(high for _, high in turns(trained)),
     "kind": lambda tested, trained: bool(tested["scenario"]["kinds"].keys() - trained["scenario"]["kinds"].keys()),
     "ego's size": lambda tested, trained: tested["scenario"]["vehicle"] != trained["scenario"]["vehicle"],
-    "number of vehicles": scenario("n_social", "n_followers"),
+    "number of vehicles": has_another_number,
     "start distance": start("ego_start_distance_m"),
     "start speed": start("start_speed_mps"),
     "perception": lambda tested, trained: tested["perception"] != trained["perception"],
