@@ -13,11 +13,12 @@ LINE_INTERVAL_S = 20.0
 class ProgressLine:
     """Context manager that shows the progress of `n_total` steps, of which `n_done` were done before.
 
-    On a terminal it is a bar with the latest text and the time left, in a log file a line of these every 20 s.
+    On a terminal it is a bar with the latest text and the time left, in a log file a line of these every 20 s. The time
+    left is that at the pace since the line before, so that a slow first step, which compiles, soon counts no more.
     """
 
     def __init__(self, title: str, n_total: int, n_done: int = 0) -> None:
-        self.title, self.n_total, self.n_done, self._n_before = title, n_total, n_done, n_done
+        self.title, self.n_total, self.n_done, self._n_said = title, n_total, n_done, n_done
         console = Console()
         self._is_live = console.is_terminal
         self._bar = Progress(
@@ -31,7 +32,7 @@ class ProgressLine:
             disable=not self._is_live,
         )
         self._task = self._bar.add_task(title, total=n_total, completed=n_done, text="")
-        self._started_s = self._said_s = time.monotonic()
+        self._said_s = time.monotonic()
 
     def advance(self, text: str, n: int = 1) -> None:
         """Count `n` more steps and show `text` beside the bar."""
@@ -40,8 +41,8 @@ class ProgressLine:
         now_s = time.monotonic()
         is_due = now_s - self._said_s >= LINE_INTERVAL_S or self.n_done >= self.n_total
         if not self._is_live and is_due:
-            self._said_s = now_s
-            left_s = (now_s - self._started_s) / (self.n_done - self._n_before) * (self.n_total - self.n_done)
+            left_s = (now_s - self._said_s) / (self.n_done - self._n_said) * (self.n_total - self.n_done)
+            self._said_s, self._n_said = now_s, self.n_done
             print(f"{self.title} {self.n_done / self.n_total:4.0%}  {text}  left {left_s:.0f} s", flush=True)
 
     def __enter__(self) -> "ProgressLine":
