@@ -35,7 +35,7 @@ def rates(experiment: str, setting: str, n_episodes: int) -> tuple[float, float]
 
 
 @pytest.mark.parametrize(
-    "n_episodes", [pytest.param(30, id="few"), pytest.param(1000, marks=pytest.mark.slow, id="many")]
+    "n_episodes", [pytest.param(12, id="few"), pytest.param(1000, marks=pytest.mark.slow, id="many")]
 )
 @pytest.mark.parametrize(("experiment", "setting"), [(e, s) for e, settings in AT_LEAST.items() for s in settings])
 def test_it_succeeds_and_does_not_crash(experiment: str, setting: str, n_episodes: int) -> None:

@@ -25,8 +25,11 @@ FEW_STREETS = ["scenario.streets.n_training=2", "scenario.streets.n_held_out=2"]
 OBJECTS = ["observation=objects", "policy=objects"]
 """Each of them fits the other only."""
 OPTIONS = sorted(
-    path.relative_to(CONF).with_suffix("") for path in CONF.glob("*/**/*.yaml") if path.stem not in OF_A_MAP
+    option
+    for path in CONF.glob("*/**/*.yaml")
+    if path.stem not in OF_A_MAP and (option := path.relative_to(CONF).with_suffix("")).parts[0] != "unseen"
 )
+"""Those of `unseen` are in test_unseen.py."""
 
 
 def build(*overrides: str) -> RunConfig:
@@ -46,12 +49,11 @@ def job_commands() -> list[list[str]]:
 
 @pytest.mark.parametrize("option", OPTIONS, ids=str)
 def test_every_option_composes_and_builds(option: Path) -> None:
-    plus = "+" if option.parts[0] in ("experiment", "unseen") else ""
+    plus = "+" if option.parts[0] == "experiment" else ""
     beside = ["report.side_by_side=[]"] if option.parent.name == "baseline" else []
     beside += ["planner=consistent_stops"] if option.name.endswith("_inf") else []
     beside += OBJECTS if option.name == "objects" else []
-    beside += ["+experiment=unseen"] if option.parts[0] == "unseen" else []
-    beside += FEW_STREETS if option.parts[0] == "unseen" or option.name.startswith("generalist") else []
+    beside += FEW_STREETS if option.name.startswith("generalist") else []
     build(*beside, f"{plus}{option.parent}={option.name}")
 
 

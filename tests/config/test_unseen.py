@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from composed import composed
+from composed import compose_config, composed
 from omegaconf import OmegaConf
 
 from negopipe import CONF
@@ -13,6 +13,7 @@ from negopipe.simulation.vehicle_kinds import bounds
 
 CASES = sorted(path.stem for path in (CONF / "unseen").glob("*.yaml"))
 TRAININGS = ("yield", "push", "mixture", "demonstrations", "generalist", "generalist_gpu")
+FEW_STREETS = ["scenario.streets.n_training=2", "scenario.streets.n_held_out=2"]
 Config = dict[str, Any]
 
 
@@ -27,6 +28,13 @@ def case(name: str) -> Config:
 
 
 @pytest.mark.parametrize("name", CASES)
+def test_a_case_names_what_all_share_first(name: str) -> None:
+    """So its own values win in whatever order a command line is composed."""
+    (first, *_, last) = OmegaConf.load(CONF / "unseen" / f"{name}.yaml").defaults
+    assert (first, last) == ({"base": "v1"}, "_self_")
+
+
+@pytest.mark.parametrize("name", ["driver_racing", "traffic_rush_hour"])
 def test_a_case_is_the_same_in_whatever_order_it_is_asked_for(name: str) -> None:
     """A sweep composes its parameters first."""
     assert case(name) == config(f"+unseen={name}", "+experiment=unseen")
@@ -117,8 +125,9 @@ def test_there_are_at_least_thirty_cases() -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_case_lies_outside_every_training(name: str) -> None:
+def test_a_case_is_sound_and_lies_outside_every_training(name: str) -> None:
     tested = case(name)
+    compose_config(["+experiment=unseen", f"+unseen={name}", *FEW_STREETS])
     assert tested["name"] == f"unseen-v1.{name}"
     for training in TRAININGS:
         trained = config(f"+experiment={training}")
