@@ -7,7 +7,7 @@ from typing import Any
 
 from negopipe.errors import UserError
 
-FORMAT = 2
+FORMAT = 3
 """Version of the folder's layout; a reader refuses any other."""
 
 MANIFEST_NAME = "export.json"

@@ -41,6 +41,7 @@ class ExportConfig:
     """`conf/export/onnx.yaml` says what each value means."""
 
     files: Annotated[tuple[ExportFile, ...], Field(min_length=1), Distinct]
+    action: Literal["greedy", "sample"]
     opset: PositiveInt
     n_selftest: PositiveInt
     n_decisions: PositiveInt
