@@ -11,18 +11,21 @@ from torch import Tensor
 
 from negopipe.agents.horizon_drivers import draw_of
 from negopipe.deployment.decision import PASSAGE, STATES, Decision, last_inputs, needs, outputs
+from negopipe.deployment.driven import drive_held_out
 from negopipe.deployment.inputs import decision_inputs
 from negopipe.deployment.onnx_file import write_onnx
 from negopipe.deployment.surroundings import NAMES, Surroundings, as_tensors, with_surroundings
 from negopipe.deployment.tables import StreetTables, street_tables
 from negopipe.game.game import Game
 from negopipe.policy.actor_critic import Policy, action_of_draw, greedy_action
+from negopipe.runtime.build import with_learned
 from negopipe.simulation.drawn_street import drawn_street
 from negopipe.simulation.knot_tables import BEYOND_M
 from negopipe.simulation.one_street import OneStreet
 from negopipe.simulation.state import EGO, Motion, VehicleState, World
 from negopipe.simulation.street import Street
 from negopipe.simulation.streets import Streets
+from negopipe.tensors.torch_settings import own_settings
 from negopipe.tensors.tree import map_tensors
 
 if TYPE_CHECKING:
@@ -83,6 +86,20 @@ def write_street(path: Path, config: "RunConfig", tables: StreetTables) -> None:
 def has_surroundings(config: "RunConfig") -> bool:
     """Whether the decision of a config reads tables that street.onnx computes."""
     return PASSAGE[0] in needs(config)
+
+
+@own_settings()
+def driven_arguments(config: "RunConfig", game: Game, policy: Policy, n: int) -> list[Arguments]:
+    """Of n decisions, evenly spread over those of held-out episodes."""
+    game, streets = with_learned(game, config, policy), StreetInputs(config, game)
+    seen: list[Arguments] = []
+
+    def choose(world: World) -> Tensor:
+        seen.extend(arguments_of(config, game, streets, world))
+        return expected(config, game, policy, world)["horizon"]
+
+    drive_held_out(config, game, choose, n * config.export.n_worlds)
+    return [seen[index] for index in np.linspace(0, len(seen) - 1, n).astype(int)]
 
 
 def arguments_of(config: "RunConfig", game: Game, streets: StreetInputs, world: World) -> list[Arguments]:

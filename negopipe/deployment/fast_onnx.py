@@ -17,11 +17,13 @@ import numpy as np
 
 if TYPE_CHECKING:
     import onnx
+    import onnxruntime
 
-ELEMENTWISE = frozenset(
-    "Add Sub Mul Div Pow Max Min Mod Where Less Greater LessOrEqual GreaterOrEqual Equal And Or Xor BitShift BitwiseAnd "
-    "BitwiseOr BitwiseXor".split()
-)
+ELEMENTWISE = frozenset({
+    *("Add", "Sub", "Mul", "Div", "Pow", "Mod", "Max", "Min", "Where"),
+    *("Less", "Greater", "LessOrEqual", "GreaterOrEqual", "Equal", "And", "Or", "Xor"),
+    *("BitShift", "BitwiseAnd", "BitwiseOr", "BitwiseXor"),
+})  # fmt: skip
 """Operators whose operands are broadcast to the shape of the result."""
 
 VIEWS = frozenset(["Reshape", "Squeeze", "Unsqueeze", "Flatten", "Identity"])
@@ -128,7 +130,7 @@ class _Graph:
                     node.input[index] = root
 
     def pad_operands(self) -> None:
-        """Operands of elementwise nodes get the rank of the result where onnxruntime would walk through it otherwise."""
+        """Operands get the rank of an elementwise result where onnxruntime would walk through it otherwise."""
         nodes = list(self._graph.node)
         del self._graph.node[:]
         for node in nodes:

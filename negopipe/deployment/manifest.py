@@ -14,6 +14,8 @@ MANIFEST_NAME = "export.json"
 POLICY_NAME = "policy.onnx"
 SELFTEST_NAME = "selftest.npz"
 DECISION_NAME = "decision.onnx"
+PACKAGE_NAME = "decision.pt2"
+PACKAGE_TEST_NAME = "decision_selftest.pt"
 STREET_NAME = "street.onnx"
 
 

@@ -32,7 +32,7 @@ decision, too. Every result is made for the time at which it was asked for: an o
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -42,9 +42,10 @@ import numpy as np
 from negopipe.deployment.draws import draw
 from negopipe.deployment.history import ROUNDING_S, History, Pose
 from negopipe.deployment.host_street import HostStreet, Surround, Tables, between_kerbs, host_street
-from negopipe.deployment.manifest import DECISION_NAME, STREET_NAME, read_manifest
+from negopipe.deployment.manifest import STREET_NAME, read_manifest
 from negopipe.deployment.messages import Array, Diagnostics, EgoState, ObjectState, Trajectory, is_finite
 from negopipe.deployment.onnx_session import Graph
+from negopipe.deployment.open_decision import Backend, Decide, open_decision
 from negopipe.deployment.settings import Footprint, Settings
 from negopipe.deployment.stop import stop_along
 from negopipe.deployment.tracks import Tracks
@@ -62,9 +63,6 @@ N_KEPT = 9
 
 AT_REST_MPS, UNCOUNTED_REST_S = 0.1, 1.0
 """`simulation.state.AT_REST_MPS`, `simulation.simulator.UNCOUNTED_REST_S`."""
-
-Decide = Callable[[Mapping[str, Array]], Mapping[str, Array]]
-"""decision.onnx: arguments by name -> outputs by name."""
 
 
 class Start(NamedTuple):
@@ -117,17 +115,16 @@ class Negotiator:
         self._memory: Memory | None = None
 
     @staticmethod
-    def load(folder: Path | str, seed: int = 0) -> "Negotiator":
-        """The negotiator of an export's folder. UserError: no export with decision.onnx, or a damaged one."""
+    def load(folder: Path | str, seed: int = 0, backend: Backend = "onnxruntime") -> "Negotiator":
+        """The negotiator of an export's folder. UserError: no export with the file of the backend, or a damaged one.
+
+        backend: onnxruntime runs decision.onnx, torch decision.pt2
+        """
         folder = Path(folder)
         manifest = read_manifest(folder)
-        if DECISION_NAME not in manifest["files"]:
-            raise UserError(
-                f"{folder} must hold {DECISION_NAME} (export.files=[policy,decision]), got an export without"
-            )
         has_street = STREET_NAME in manifest["files"]
         surround = Graph(folder / STREET_NAME) if has_street else _nothing_around
-        return Negotiator(Settings.of(manifest["config"]), Graph(folder / DECISION_NAME), surround, seed)
+        return Negotiator(Settings.of(manifest["config"]), open_decision(folder, manifest, backend), surround, seed)
 
     def anew(self, length_m: float, width_m: float, seed: int) -> "Negotiator":
         """The negotiator of another drive, of a vehicle of that size; streets can be shared."""

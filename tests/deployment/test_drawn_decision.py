@@ -65,7 +65,9 @@ def test_the_most_probable_horizon_needs_no_number() -> None:
     assert math.isnan(drive_with_runtime(negotiator(), 1, seed=0)[1][0].diagnostics.draw)
 
 
-@pytest.mark.parametrize(("override", "is_drawn"), [("evaluation.action=sample", True), ("export.action=greedy", False)])
+@pytest.mark.parametrize(
+    ("override", "is_drawn"), [("evaluation.action=sample", True), ("export.action=greedy", False)]
+)
 def test_an_export_draws_as_its_evaluation_unless_it_is_told_otherwise(override: str, is_drawn: bool) -> None:
     config = parts("evaluation.action=sample", override)[0]
     assert Settings.of(as_mapping(config)).is_drawn == is_drawn
