@@ -76,7 +76,7 @@ def write_package(path: Path, decision: Decision, arguments: Mapping[str, np.nda
 def decision_selftest(
     decision: Decision, driven: Sequence[Mapping[str, np.ndarray]], config: "RunConfig"
 ) -> list[list[list[Tensor]]]:
-    """Arguments and results of decisions in order, [n][2][...], as `torch.pickle_load` of C++ reads them, too."""
+    """Arguments and results of decisions in order, [n][2][...], as `torch::jit::pickle_load` of C++ reads them, too."""
     positional, made = Positional(config, decision).eval(), []
     for arguments in driven:
         given = in_order(config, arguments)
