@@ -44,7 +44,7 @@ class Positional(nn.Module):
     def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:
         named = dict(zip(self._names, arguments, strict=True))
         street = {name: named.pop(name) for name in self._needed}
-        return self.decision(**named, street=street)
+        return tuple(self.decision(**named, street=street))  # a package knows no named tuple
 
 
 def in_order(config: "RunConfig", arguments: Mapping[str, np.ndarray]) -> tuple[Tensor, ...]:
