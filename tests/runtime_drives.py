@@ -10,10 +10,11 @@ import torch
 from games import draw_tasks, tiny_config
 from torch import Tensor
 
+from negopipe.agents.horizon_drivers import drawn_action
 from negopipe.config.root import RunConfig, as_mapping
 from negopipe.deployment import EgoState, HostStreet, Negotiator, ObjectState, Trajectory
-from negopipe.deployment.decision import Decision, needs, outputs
-from negopipe.deployment.decision_file import street_of
+from negopipe.deployment.decision import Decision, outputs
+from negopipe.deployment.decision_file import street_of, tensors_of
 from negopipe.deployment.policy_file import exported
 from negopipe.deployment.settings import Settings
 from negopipe.deployment.surroundings import NAMES, Surroundings
@@ -51,19 +52,14 @@ def parts(*overrides: str) -> tuple[RunConfig, Game, Policy]:
     return config, build_game(config), policy
 
 
-def negotiator(*overrides: str) -> Negotiator:
+def negotiator(*overrides: str, seed: int = 0) -> Negotiator:
     """The runtime with torch in the place of onnxruntime, on the same graph."""
     config, _, policy = parts(*overrides)
     decision, surroundings = Decision(config, policy).eval(), Surroundings(config)
 
     @torch.no_grad()
     def decide(arguments: Arrays) -> Arrays:
-        tensors = {name: torch.from_numpy(np.array(array)) for name, array in arguments.items()}
-        given = ("own", "own_history", "others", "others_history", "is_seen", "direction")
-        kept = {"kept": tensors["kept"]} if "keep" in outputs(config) else {}
-        found = decision(
-            **{name: tensors[name] for name in given}, street={name: tensors[name] for name in needs(config)}, **kept
-        )
+        found = decision(**tensors_of(config, arguments))
         return {name: each.numpy() for name, each in zip(outputs(config), found, strict=True)}
 
     @torch.no_grad()
@@ -71,7 +67,7 @@ def negotiator(*overrides: str) -> Negotiator:
         found = surroundings({name: torch.from_numpy(np.array(table)) for name, table in tables.items()})
         return {name: each.numpy() for name, each in zip(NAMES, found, strict=True)}
 
-    return Negotiator(Settings.of(as_mapping(config)), decide, surround)
+    return Negotiator(Settings.of(as_mapping(config)), decide, surround, seed)
 
 
 def straight_on(arguments: Arrays) -> Arrays:
@@ -146,13 +142,16 @@ def drive_with_runtime(
 
 @torch.no_grad()
 def drive_in_simulator(n_steps: int, *overrides: str, seed: int) -> list[World]:
-    """The same task, the ego driven by the same policy in the simulator."""
+    """The same task, the ego driven by the same policy in the simulator, as an evaluation does it."""
     config, game, policy = parts(*overrides)
     horizons = torch.tensor(config.policy.horizons_s)
     world = game.simulator.reset(draw_tasks(config, 1, seed))
     worlds = [world]
     for _ in range(n_steps):
-        horizon = horizons[greedy_action(policy(game.see(world))[0])]
+        logits = policy(game.see(world))[0]
+        is_drawn = config.evaluation.action == "sample"
+        action = drawn_action(logits, world.task.noise_seed, world.step) if is_drawn else greedy_action(logits)
+        horizon = horizons[action]
         world, events = game.drive(world, game.choose(world, horizon))
         worlds.append(world)
         if bool((events.is_terminated | events.is_truncated)[0]):

@@ -35,6 +35,8 @@ exec {sys.executable} "$@"
 """Stands for python: what follows a command's own settings makes it small."""
 
 MEASURES = "--wheel-base 2.7 --front-overhang 0.9 --rear-overhang 0.9"
+PREFIX = "\"$(python -c 'import torch; print(torch.utils.cmake_prefix_path)')\""
+BUILT = "tests/deployment/test_decision_package.py runs it"
 NOT_RUN = {
     "make ui": "a server",
     "make play": "a server",
@@ -43,6 +45,9 @@ NOT_RUN = {
     "make docs-serve": "a server",
     f"python -m negopipe.deployment.ros2_node outputs/export/yield {MEASURES} --record drive.mcap": "a server",
     "python -m negopipe.deployment.replay drive.mcap outputs/export/yield": "needs a recording",
+    f"cmake -S examples/cpp -B build/cpp -DCMAKE_PREFIX_PATH={PREFIX}": BUILT,
+    "cmake --build build/cpp": BUILT,
+    "build/cpp/decide outputs/export/yield": BUILT,
     "bash jobs/tracking_server.sh": "a server, used by the commands after it",
     "source .venv/bin/activate": "the environment of the tests",
     "pre-commit install": "changes the checkout's hooks",

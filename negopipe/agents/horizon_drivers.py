@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from negopipe.agents.driver import ChooseHorizon, HorizonDriver, MakeDriver
-from negopipe.policy.actor_critic import ActorCritic, greedy_action
+from negopipe.policy.actor_critic import ActorCritic, action_of_draw, greedy_action
 from negopipe.simulation.perception import Perception
 from negopipe.tensors.chunked import ChunkedFunction
 from negopipe.tensors.stateless_rng import mix, uniform
@@ -54,13 +54,16 @@ def in_batches(policy: ActorCritic, device: torch.device) -> Callable[[Tensor], 
 
 
 def drawn_action(logits: Tensor, episode_key: Tensor, decision: Tensor | int) -> Tensor:
-    """[E] int64: actions drawn by inversion of the cumulative probabilities.
+    """[E] int64: actions drawn by the probabilities.
 
     decision: number of the decision in the episode, one for all or [E] int64
     """
-    threshold = uniform(mix(mix(episode_key) + ACTIONS), decision)
-    until = logits.float().softmax(-1).cumsum(-1)
-    return (threshold[:, None] > until).sum(-1).clamp(max=logits.shape[-1] - 1)
+    return action_of_draw(logits, draw_of(episode_key, decision))
+
+
+def draw_of(episode_key: Tensor, decision: Tensor | int) -> Tensor:
+    """[E] uniform numbers in (0, 1), by which the actions of a decision are drawn; `decision` as in `drawn_action`."""
+    return uniform(mix(mix(episode_key) + ACTIONS), decision)
 
 
 def sequence_planner(horizon_s: Tensor) -> ChooseHorizon:

@@ -17,7 +17,7 @@ from negopipe.observation.street_ahead import AROUND_M
 from negopipe.observation.street_ahead import KNOT_M as AHEAD_KNOT_M
 from negopipe.planner.frenet import FrenetPlanner
 from negopipe.planner.roadside import Half, ParkedRow, Roadside
-from negopipe.policy.actor_critic import Policy, greedy_action
+from negopipe.policy.actor_critic import Policy, action_of_draw, greedy_action
 from negopipe.safety.config import NoSafetyConfig, RssConfig
 from negopipe.safety.layer import SafetyLayer
 from negopipe.safety.stops import N_PATH, StopPaths, braked
@@ -37,6 +37,9 @@ before (s, NaN = none), time at rest (s), footprint (m); then `direction`, +1 al
 
 OTHER = ("x", "y", "yaw", "speed", "accel", "length", "width")
 """Columns of `others`."""
+
+STATES = ("own", "own_history", "others", "others_history", "is_seen", "direction")
+"""Arguments of every decision, in front of the street."""
 
 PASSAGE = ("waiting", "leaving", "their_waiting", "their_leaving")
 
@@ -146,17 +149,19 @@ class Decision(nn.Module):
         direction: Tensor,
         street: dict[str, Tensor],
         kept: Tensor | None = None,
+        draw: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """Fields of `Decided`, as many as `outputs` names.
 
         own: [11], `OWN`; own_history: [K, 3], x, y, yaw; others: [N, 7], `OTHER`; others_history: [K, N, 3];
         is_seen: [K, N], 1 where seen, index 0 now; direction: [1]; street: tables by name
         kept: [1, N_KEPT] of the decision before, NaN in the first one; None without a safety layer
+        draw: [1], uniform number in (0, 1) by which the horizon is drawn; None = the most probable one
         """
         self._bind(street)
         perception = self._perception(own, own_history, others, others_history, is_seen > 0.5, direction)
         logits = self.policy(self.observation.draw(perception))[0]
-        action = greedy_action(logits)
+        action = greedy_action(logits) if draw is None else action_of_draw(logits, draw)
         horizon = self.horizons[action]
         states, is_full_braking = self.planner.trajectory(perception, horizon[:, None])
         decided = (horizon, action, logits, _rows(map_tensors(lambda field: field[0, 0], states)), is_full_braking[0])
@@ -238,6 +243,12 @@ def _rows(states: VehicleState) -> Tensor:
 def outputs(config: "RunConfig") -> tuple[str, ...]:
     """Names of the outputs of the decision of a config."""
     return Decided._fields[:-2] if isinstance(config.safety, NoSafetyConfig) else Decided._fields
+
+
+def last_inputs(config: "RunConfig") -> tuple[str, ...]:
+    """Arguments of the decision of a config behind the street."""
+    kept = () if isinstance(config.safety, NoSafetyConfig) else ("kept",)
+    return (*kept, "draw") if config.export.action == "sample" else kept
 
 
 def n_ahead(config: "RunConfig") -> int:

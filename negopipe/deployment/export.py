@@ -4,6 +4,8 @@
 
     policy.onnx             observations -> logits and value
     decision.onnx           states and street -> horizon and trajectory, where `export.files` names it
+    decision.pt2            the same for torch and C++, where `export.files` names the package
+    decision_selftest.pt    arguments of driven decisions, and the results that torch gives for them, beside the package
     street.onnx             tables of a street -> those that say where to wait, where the decision reads them
     selftest.npz            driven observations and the outputs that torch gives for them
     checkpoint.safetensors  the weights, for the check by `python -m negopipe.deployment.verify <folder>`
@@ -27,12 +29,21 @@ import torch
 
 from negopipe.config.compose import compose_config
 from negopipe.config.root import as_mapping
-from negopipe.deployment.decision import Decision
-from negopipe.deployment.decision_file import StreetInputs, arguments_of, has_surroundings, write_decision, write_street
+from negopipe.deployment.decision import Decision, outputs
+from negopipe.deployment.decision_file import (
+    StreetInputs,
+    arguments_of,
+    driven_arguments,
+    has_surroundings,
+    write_decision,
+    write_street,
+)
 from negopipe.deployment.driven import drive_held_out
 from negopipe.deployment.manifest import (
     DECISION_NAME,
     MANIFEST_NAME,
+    PACKAGE_NAME,
+    PACKAGE_TEST_NAME,
     POLICY_NAME,
     SELFTEST_NAME,
     STREET_NAME,
@@ -40,6 +51,7 @@ from negopipe.deployment.manifest import (
     manifest_text,
 )
 from negopipe.deployment.onnx_file import NEEDED, need_packages
+from negopipe.deployment.package_file import check_machine, decision_selftest, package_inputs, write_package
 from negopipe.deployment.policy_file import exported, selftest, write_policy
 from negopipe.errors import UserError
 from negopipe.evaluation.held_out import held_out_tasks
@@ -57,6 +69,9 @@ if TYPE_CHECKING:
 log = logging.getLogger("negopipe")
 
 COMMAND = "python -m negopipe.deployment.export"
+
+N_TESTED = 16
+"""Decisions of decision_selftest.pt."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -80,6 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def export(config: "RunConfig", checkpoint: Path, folder: Path) -> list[Path]:
     """Write the files of `config.export.files`; returns all paths. UserError where the checkpoint does not fit."""
     need_packages()
+    if "package" in config.export.files:
+        check_machine(config.export.processor)
     policy = exported(load_policy(checkpoint, config))
     game = build_game(config)
     observations = driven_observations(config, game, policy, config.export.n_selftest)
@@ -87,25 +104,33 @@ def export(config: "RunConfig", checkpoint: Path, folder: Path) -> list[Path]:
     write_whole(folder / CHECKPOINT_NAME, checkpoint.read_bytes())
     write_policy(folder / POLICY_NAME, policy, observations, config.export.opset)
     write_whole(folder / SELFTEST_NAME, npz_bytes(selftest(policy, observations)))
-    if "decision" in config.export.files:
+    if set(config.export.files) & {"decision", "package"}:
         names += _write_decision(config, game, policy, folder)
     write_whole(folder / MANIFEST_NAME, manifest_text(_content(config, folder), folder, names).encode())
     return [folder / name for name in (*names, MANIFEST_NAME)]
 
 
 def _write_decision(config: "RunConfig", game: Game, policy: Policy, folder: Path) -> list[str]:
-    """Write decision.onnx by the first decision of a held-out task, and street.onnx if need be; returns the names."""
+    """Write the decision's files by the first decision of a held-out task; returns their names."""
     one = replace(config, evaluation=replace(config.evaluation, n_episodes=1))
     world = game.simulator.reset(held_out_tasks(one, game, config.evaluation.leading_setting))
     with torch.no_grad():
         decision = Decision(config, policy).eval()
         streets = StreetInputs(config, game)
         (arguments,) = arguments_of(config, game, streets, world)
-        write_decision(folder / DECISION_NAME, decision, arguments, config)
-        if not has_surroundings(config):
-            return [DECISION_NAME]
-        write_street(folder / STREET_NAME, config, streets.tables(1))
-        return [DECISION_NAME, STREET_NAME]
+        names = []
+        if "decision" in config.export.files:
+            write_decision(folder / DECISION_NAME, decision, arguments, config)
+            names += [DECISION_NAME]
+        if "package" in config.export.files:
+            write_package(folder / PACKAGE_NAME, decision, arguments, config)
+            tested = decision_selftest(decision, driven_arguments(config, game, policy, N_TESTED), config)
+            write_whole(folder / PACKAGE_TEST_NAME, saved_bytes(tested))
+            names += [PACKAGE_NAME, PACKAGE_TEST_NAME]
+        if has_surroundings(config):
+            write_street(folder / STREET_NAME, config, streets.tables(1))
+            names += [STREET_NAME]
+        return names
 
 
 @own_settings()  # which torch.export, that writes the files, cannot stand
@@ -131,6 +156,13 @@ def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
     return content.getvalue()
 
 
+def saved_bytes(content: Any) -> bytes:
+    """Content of a file of `torch.save`."""
+    file = io.BytesIO()
+    torch.save(content, file)
+    return file.getvalue()
+
+
 def _content(config: "RunConfig", folder: Path) -> dict[str, Any]:
     """What the files depend on, as JSON values."""
     values = as_mapping(config)
@@ -147,6 +179,7 @@ def _content(config: "RunConfig", folder: Path) -> dict[str, Any]:
             "dtype": "uint8" if observation.kind == "occupancy_grid" else "float32",
             **values["observation"],
         },
+        "decision": {"inputs": list(package_inputs(config)), "outputs": list(outputs(config))},
         "horizons_s": values["policy"]["horizons_s"],
         "dt_s": config.scenario.dt_s,
         "config": values,

@@ -7,13 +7,15 @@ from typing import Any
 
 from negopipe.errors import UserError
 
-FORMAT = 2
+FORMAT = 3
 """Version of the folder's layout; a reader refuses any other."""
 
 MANIFEST_NAME = "export.json"
 POLICY_NAME = "policy.onnx"
 SELFTEST_NAME = "selftest.npz"
 DECISION_NAME = "decision.onnx"
+PACKAGE_NAME = "decision.pt2"
+PACKAGE_TEST_NAME = "decision_selftest.pt"
 STREET_NAME = "street.onnx"
 
 

@@ -62,6 +62,7 @@ class Diagnostics:
     intervention: of the safety layer, `none` where it drove the plan as it is or where the export has no layer
     stop: why the vehicle is stopped, one of `negotiator.STOPS`; empty where it is not
     probabilities: of the policy, by horizon in s; empty for a stop
+    draw: uniform number by which the horizon was drawn; NaN for a stop, and where the most probable one is taken
     """
 
     messages: Mapping[str, int] = field(default_factory=dict)
@@ -73,6 +74,7 @@ class Diagnostics:
     intervention: str = "none"
     stop: str = ""
     probabilities: Mapping[float, float] = field(default_factory=dict)
+    draw: float = math.nan
 
 
 @dataclass(frozen=True)

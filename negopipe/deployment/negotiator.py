@@ -32,18 +32,20 @@ decision, too. Every result is made for the time at which it was asked for: an o
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from negopipe.deployment.draws import draw
 from negopipe.deployment.history import ROUNDING_S, History, Pose
 from negopipe.deployment.host_street import HostStreet, Surround, Tables, between_kerbs, host_street
-from negopipe.deployment.manifest import DECISION_NAME, STREET_NAME, read_manifest
+from negopipe.deployment.manifest import STREET_NAME, read_manifest
 from negopipe.deployment.messages import Array, Diagnostics, EgoState, ObjectState, Trajectory, is_finite
 from negopipe.deployment.onnx_session import Graph
+from negopipe.deployment.open_decision import Backend, Decide, open_decision
 from negopipe.deployment.settings import Footprint, Settings
 from negopipe.deployment.stop import stop_along
 from negopipe.deployment.tracks import Tracks
@@ -61,9 +63,6 @@ N_KEPT = 9
 
 AT_REST_MPS, UNCOUNTED_REST_S = 0.1, 1.0
 """`simulation.state.AT_REST_MPS`, `simulation.simulator.UNCOUNTED_REST_S`."""
-
-Decide = Callable[[Mapping[str, Array]], Mapping[str, Array]]
-"""decision.onnx: arguments by name -> outputs by name."""
 
 
 class Start(NamedTuple):
@@ -102,31 +101,35 @@ class Negotiator:
     """The negotiator of one vehicle on one drive; it remembers what it saw and what it decided.
 
     settings: values of the export
+    seed: of the numbers by which horizons are drawn, where the export draws them: decision n of a drive gets the number
+        of decision n of the simulator's episode with that `noise_seed`
     """
 
-    def __init__(self, settings: Settings, decide: Decide, surround: Surround) -> None:
-        self.settings, self._decide, self._surround = settings, decide, surround
+    def __init__(self, settings: Settings, decide: Decide, surround: Surround, seed: int = 0) -> None:
+        if seed < 0:
+            raise UserError(f"seed must be a whole number from 0, got {seed}")
+        self.settings, self._decide, self._surround, self._seed = settings, decide, surround, seed
+        self._n_planned = 0
         self._times_s = settings.dt_s * np.arange(settings.n_times + 1)
         self._forget()
         self._memory: Memory | None = None
 
     @staticmethod
-    def load(folder: Path | str) -> "Negotiator":
-        """The negotiator of an export's folder. UserError: no export with decision.onnx, or a damaged one."""
+    def load(folder: Path | str, seed: int = 0, backend: Backend = "onnxruntime") -> "Negotiator":
+        """The negotiator of an export's folder. UserError: no export with the file of the backend, or a damaged one.
+
+        backend: onnxruntime runs decision.onnx, torch decision.pt2
+        """
         folder = Path(folder)
         manifest = read_manifest(folder)
-        if DECISION_NAME not in manifest["files"]:
-            raise UserError(
-                f"{folder} must hold {DECISION_NAME} (export.files=[policy,decision]), got an export without"
-            )
         has_street = STREET_NAME in manifest["files"]
         surround = Graph(folder / STREET_NAME) if has_street else _nothing_around
-        return Negotiator(Settings.of(manifest["config"]), Graph(folder / DECISION_NAME), surround)
+        return Negotiator(Settings.of(manifest["config"]), open_decision(folder, manifest, backend), surround, seed)
 
-    def anew(self, length_m: float, width_m: float) -> "Negotiator":
+    def anew(self, length_m: float, width_m: float, seed: int) -> "Negotiator":
         """The negotiator of another drive, of a vehicle of that size; streets can be shared."""
         settings = replace(self.settings, ego=Footprint(length_m, width_m))
-        return Negotiator(settings, self._decide, self._surround)
+        return Negotiator(settings, self._decide, self._surround, seed)
 
     def street(self, street: Street, direction: float, origin: Array, heading: float) -> HostStreet:
         """A sampled street as the ego drives along it (+1) or against it (-1).
@@ -223,9 +226,13 @@ class Negotiator:
             "is_seen": seen.is_seen,
             "direction": np.array([street.direction]),
             "kept": self._kept(street, time_s),
+            "draw": np.array([draw(self._seed, self._n_planned)]),
         }
+        self._n_planned += 1
         found = self._decide({name: each.astype(np.float32) for name, each in arguments.items()} | dict(street.tables))
         said = replace(heard, carried_on=seen.carried_on, lost=seen.lost, left_out=seen.left_out, start=start.source)
+        if settings.is_drawn:
+            said = replace(said, draw=float(arguments["draw"][0]))
         if not np.isfinite(found["trajectory"]).all():
             return self._stop(start, time_s, replace(said, stop="decision"))
         return self._remember(found, start, street, time_s, said)

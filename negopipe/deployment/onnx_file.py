@@ -11,6 +11,7 @@ import torch
 from torch import nn
 from torch.utils._pytree import tree_map
 
+from negopipe.deployment.fast_onnx import faster
 from negopipe.errors import UserError
 from negopipe.tracking.whole_file import write_whole
 
@@ -38,10 +39,12 @@ def write_onnx(
     inputs: an example of each argument of `forward`, by name; an argument may be a dict of tensors, whose keys are then
         names of inputs
     outputs: names of the tensors that `forward` returns
-    batch: name of a dynamic first axis of all inputs; None = all shapes are fixed, and the graph is so large that it is
-        left to onnxruntime to simplify it, which takes seconds there and minutes here
+    batch: name of a dynamic first axis of all inputs; None = all shapes are fixed, and the graph is so large that
+        `fast_onnx` simplifies it, in seconds instead of minutes
     """
-    names = [leaf for name, each in inputs.items() for leaf in (each if isinstance(each, dict) else [name])]
+    leaves: dict[str, torch.Tensor] = {}
+    for name, each in inputs.items():
+        leaves |= each if isinstance(each, dict) else {name: each}
     dynamic = {name: {0: batch} for name in inputs} if batch else None
     with warnings.catch_warnings(), _quiet("torch.onnx", "torch.export", "onnxscript", "onnx_ir"):
         warnings.simplefilter("ignore")
@@ -49,7 +52,7 @@ def write_onnx(
             module.eval(),
             kwargs=tree_map(torch.clone, dict(inputs)),  # aliased tensors would become one input
             dynamo=True,
-            input_names=names,
+            input_names=list(leaves),
             output_names=list(outputs),
             opset_version=opset,
             dynamic_shapes=dynamic,
@@ -58,7 +61,10 @@ def write_onnx(
             verbose=False,
         )
     assert program is not None
-    write_whole(path, program.model_proto.SerializeToString())
+    model = program.model_proto
+    if batch is None:
+        model = faster(model, {name: each.numpy() for name, each in leaves.items()})
+    write_whole(path, model.SerializeToString())
 
 
 class _quiet:

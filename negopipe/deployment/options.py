@@ -7,7 +7,7 @@ from pydantic import Field
 from negopipe.deployment.tables import Capacity
 from negopipe.schema import Distinct, NonNegativeFloat, PositiveFloat, PositiveInt, PositiveMetres, schema
 
-ExportFile = Literal["policy", "decision"]
+ExportFile = Literal["policy", "decision", "package"]
 
 
 @schema
@@ -41,6 +41,8 @@ class ExportConfig:
     """`conf/export/onnx.yaml` says what each value means."""
 
     files: Annotated[tuple[ExportFile, ...], Field(min_length=1), Distinct]
+    action: Literal["greedy", "sample"]
+    processor: Literal["avx2", "native"]
     opset: PositiveInt
     n_selftest: PositiveInt
     n_decisions: PositiveInt

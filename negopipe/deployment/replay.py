@@ -1,9 +1,9 @@
 """A recorded drive through the runtime once more: `python -m negopipe.deployment.replay <file.mcap> <export folder>`.
 
 The runtime gets the messages of the recording in the order in which the node got them, and decides at the same times.
-On the same machine, with the same export, the trajectories are the same bit for bit. With another export, the figures
-say how far its plans are from the recorded ones in the recorded situations. The exit status is 1 where a place differs
-by more than 1 mm.
+Horizons are drawn by the recorded seed. On the same machine, with the same export, the trajectories are the same bit
+for bit. With another export, the figures say how far its plans are from the recorded ones in the recorded situations.
+The exit status is 1 where a place differs by more than 1 mm.
 """
 
 import argparse
@@ -34,10 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _replay(recording: Path, folder: Path) -> int:
     need_packages()
-    from negopipe.deployment.middleware.again import replay
+    from negopipe.deployment.middleware.again import replay, seed_of
     from negopipe.deployment.middleware.recording import about
 
-    done = replay(recording, Negotiator.load(folder))
+    done = replay(recording, Negotiator.load(folder, seed_of(recording)))
     if about(recording).get("export") != file_hash(folder / MANIFEST_NAME):
         print("the recording was made with another export")
     print(f"{done.n_equal} of {done.n_trajectories} trajectories are the same bit for bit")

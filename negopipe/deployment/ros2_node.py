@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         need_packages()
         vehicle = Vehicle(given.wheel_base, given.front_overhang, given.rear_overhang)
-        negotiator = Negotiator.load(given.folder)
+        negotiator = Negotiator.load(given.folder, given.seed)
         check_length(vehicle, negotiator)
         _serve(given, vehicle, negotiator)
     except UserError as error:
@@ -60,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
         parser.add_argument(f"--{name}", type=float, required=True, metavar="M", help="of the vehicle, m")
     parser.add_argument("--period", type=float, metavar="S", help="between two decisions (default: control step)")
     parser.add_argument("--silence", type=float, metavar="S", help="without odometry before a stop (default: gap_s)")
+    parser.add_argument("--seed", type=int, default=0, help="of drawn horizons (default: 0)")
     parser.add_argument("--record", type=Path, metavar="FILE", help="MCAP file that gets all messages")
     parser.add_argument("--remap", action="append", default=[], metavar="FROM:=TO", help="another name of a topic")
     return parser
@@ -68,13 +69,13 @@ def _parser() -> argparse.ArgumentParser:
 def _serve(given: argparse.Namespace, vehicle: Vehicle, negotiator: Negotiator) -> None:
     from negopipe.deployment.middleware.dds import Bus
     from negopipe.deployment.middleware.planning_node import PlanningNode
-    from negopipe.deployment.middleware.recording import Recording
+    from negopipe.deployment.middleware.recording import SEED, Recording
     from negopipe.deployment.middleware.serve import Served, Silence
 
     settings = negotiator.settings
     period_s, silence_s = given.period or settings.dt_s, given.silence or settings.gap_s
     export = file_hash(given.folder / MANIFEST_NAME)
-    about = vehicle.as_texts() | {"export": export}
+    about = vehicle.as_texts() | {"export": export, SEED: str(given.seed)}
     bus = Bus(domain(), INPUTS, OUTPUTS, names(given.remap))
     with Recording(given.record, about) if given.record else nullcontext() as file, DeferredInterrupt() as is_asked:
         node = PlanningNode(negotiator, vehicle, period_s)

@@ -24,6 +24,7 @@ class Settings:
     n_past: K, states of the past that a decision reads, now among them
     n_others: N, other road users that a decision reads
     horizons_s: prediction horizons among which the policy chooses
+    is_drawn: they are drawn by their probabilities, else the most probable one is taken
     accel_window_s: time over which another's acceleration is read off its speeds, s
     before: what is assumed of the time before the first message of a road user that appears during a drive: nothing
         where training knew vehicles that were not seen, else that it came with its speed and heading
@@ -40,6 +41,7 @@ class Settings:
     n_past: int
     n_others: int
     horizons_s: tuple[float, ...]
+    is_drawn: bool
     accel_window_s: float
     before: Before
     full_braking_mps2: float
@@ -73,6 +75,7 @@ class Settings:
             n_past=1 + (observation["n_frames"] - 1) * stride,
             n_others=n_others,
             horizons_s=tuple(map(float, config["policy"]["horizons_s"])),  # JSON has inf as a text
+            is_drawn=config["export"]["action"] == "sample",
             accel_window_s=config["perception"]["accel_window_s"],
             before="unknown" if _knows_unseen(config["perception"]) else "driven",
             full_braking_mps2=planner["limits"]["full_braking_mps2"],

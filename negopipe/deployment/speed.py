@@ -1,4 +1,4 @@
-"""Time and memory of the runtime on this machine: `python -m negopipe.deployment.speed <folder> [--table FILE]`.
+"""Time and memory of the runtime on this machine: `python -m negopipe.deployment.speed <folder> [...]`.
 
 An ego drives its plans along a street with parked cars while another car comes towards it. What is measured is all of
 `Negotiator.decide`, on one thread. With --table the figures become a row of a CSV file, written once all is measured.
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from negopipe.deployment import EgoState, HostStreet, Negotiator, ObjectState
+from negopipe.deployment.open_decision import FILES, Backend
 from negopipe.errors import UserError
 
 COMMAND = "python -m negopipe.deployment.speed"
@@ -30,7 +31,7 @@ class Speed:
     n_decisions: measured; p50_ms, p99_ms: CPU time of a decision; p99_wall_ms: time by the clock, other processes'
         work included
     memory_mb: largest resident memory of the process
-    import_s, load_s: times by the clock to import the runtime and onnxruntime, and to load an export
+    import_s, load_s: times by the clock to import the runtime and the backend, and to load an export
     load: processes that ran or waited to run on this machine, in the mean of the last minute
     """
 
@@ -49,24 +50,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog=COMMAND, description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="of the export")
     parser.add_argument("--decisions", type=int, default=500, help="number of decisions (default: 500)")
+    parser.add_argument("--backend", choices=FILES, default="onnxruntime", help="what decides (default: onnxruntime)")
     parser.add_argument("--table", type=Path, help="CSV file that gets a row; one of the same export is replaced")
     given = parser.parse_args(arguments)
     try:
-        speed = measure(given.folder, given.decisions)
+        speed = measure(given.folder, given.decisions, given.backend)
     except UserError as error:
         print(error, file=sys.stderr)
         return 1
     for field in fields(speed):
         print(f"{field.name:12} {getattr(speed, field.name):.4g}")
     if given.table is not None:
-        _add_row(given.table, given.folder.resolve().name, speed)
+        _add_row(given.table, given.folder, given.backend, speed)
     return 0
 
 
-def measure(folder: Path, n_decisions: int) -> Speed:
+def measure(folder: Path, n_decisions: int, backend: Backend = "onnxruntime") -> Speed:
     """Load an export and decide."""
     began = time.perf_counter()
-    negotiator = Negotiator.load(folder)
+    negotiator = Negotiator.load(folder, backend=backend)
     load_s = time.perf_counter() - began
     x = np.linspace(-60.0, 60.0, 121)
     left, right = (np.column_stack([x, np.full_like(x, y)]) for y in (3.5, -3.5))
@@ -75,12 +77,13 @@ def measure(folder: Path, n_decisions: int) -> Speed:
     (p50, p99), (_, p99_wall) = (np.percentile(each, [50, 99]) * 1e3 for each in seconds[N_WARM_UP:].T)
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     load = Path("/proc/loadavg").read_text(encoding="utf-8").split()[0]
-    return Speed(n_decisions, float(p50), float(p99), float(p99_wall), memory_mb, _import_s(), load_s, float(load))
+    times = (float(p50), float(p99), float(p99_wall))
+    return Speed(n_decisions, *times, memory_mb, _import_s(backend), load_s, float(load))
 
 
-def _import_s() -> float:
+def _import_s(backend: Backend) -> float:
     """Time of the imports in a process of its own, s."""
-    code = "import time; began = time.perf_counter(); import onnxruntime; from negopipe.deployment import Negotiator"
+    code = f"import time; began = time.perf_counter(); import {backend}; from negopipe.deployment import Negotiator"
     code += "; print(time.perf_counter() - began)"
     return float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
 
@@ -102,12 +105,17 @@ def _drive(negotiator: Negotiator, street: HostStreet, n_decisions: int) -> np.n
     return np.array(times)
 
 
-def _add_row(path: Path, name: str, speed: Speed) -> None:
+def _add_row(path: Path, folder: Path, backend: str, speed: Speed) -> None:
     """Write a row into a table, in the place of one of the same export."""
-    from negopipe.deployment.parity_table import put_row
+    from negopipe.deployment.parity_table import put_row, row_name
     from negopipe.tracking.csv_file import CsvKind
 
-    put_row(path, CsvKind(COMMAND, {"export": str, "n_*": int, "*": float}, "%.3g"), name, asdict(speed))
+    put_row(
+        path,
+        CsvKind(COMMAND, {"export": str, "n_*": int, "*": float}, "%.3g"),
+        row_name(folder, backend),
+        asdict(speed),
+    )
 
 
 if __name__ == "__main__":

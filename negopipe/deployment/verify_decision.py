@@ -1,9 +1,10 @@
-"""Check of decision.onnx: the same horizon and trajectory as the simulator's planner, in driven decisions.
+"""Check of an exported decision: the same horizon and trajectory as the simulator's planner, in driven decisions.
 
-`python -m negopipe.deployment.verify_decision <folder> [--decisions N] [--table FILE]` drives held-out tasks with torch
-and asks onnxruntime for the same decisions, one at a time on one core. The exported decision computes every street by
-tables, the simulator one straight street in closed form: candidates whose costs are equal up to rounding may be chosen
-otherwise, so a trajectory that differs is counted and not hidden.
+`python -m negopipe.deployment.verify_decision <folder> [--decisions N] [--backend NAME] [--table FILE]` drives held-out
+tasks with torch and asks for the same decisions, one at a time on one core: onnxruntime by decision.onnx, or torch by
+decision.pt2. The exported decision computes every street by tables, the simulator one straight street in closed form:
+candidates whose costs are equal up to rounding may be chosen otherwise, so a trajectory that differs is counted and not
+hidden.
 """
 
 import argparse
@@ -18,10 +19,10 @@ import torch
 
 from negopipe.deployment.decision_file import StreetInputs, arguments_of, expected
 from negopipe.deployment.driven import drive_held_out
-from negopipe.deployment.manifest import DECISION_NAME, read_manifest
+from negopipe.deployment.manifest import read_manifest
 from negopipe.deployment.onnx_file import need_packages
-from negopipe.deployment.onnx_session import Graph
-from negopipe.deployment.parity_table import put_row
+from negopipe.deployment.open_decision import FILES, Backend, open_decision
+from negopipe.deployment.parity_table import put_row, row_name
 from negopipe.deployment.policy_file import exported
 from negopipe.deployment.verify import config_of
 from negopipe.errors import UserError
@@ -41,7 +42,7 @@ ROWS = CsvKind(COMMAND, {"export": str, "n_*": int, "*": float}, "%.3g")
 
 @dataclass(frozen=True)
 class DecisionParity:
-    """Decisions of onnxruntime beside torch's.
+    """Decisions of an export beside the simulator's.
 
     n_decisions: compared
     n_same_horizon: with the same horizon and intervention of the safety layer
@@ -49,7 +50,7 @@ class DecisionParity:
     n_same_step: of those with the same horizon, with the first state within `TOLERANCE_M`
     n_interventions: decisions in which the safety layer replaces the plan; of these only the first state is compared
     largest_m: largest distance of two places among the trajectories that count as the same
-    p50_ms, p99_ms: CPU time of one decision of onnxruntime, which is what it takes on a core of its own
+    p50_ms, p99_ms: CPU time of one exported decision, which is what it takes on a core of its own
     """
 
     n_decisions: int
@@ -79,12 +80,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog=COMMAND, description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="of the export")
     parser.add_argument("--decisions", type=int, required=True, help="number of decisions")
+    parser.add_argument("--backend", choices=FILES, default="onnxruntime", help="what decides (default: onnxruntime)")
     parser.add_argument("--table", type=Path, help="CSV file that gets a row; one of the same export is replaced")
     given = parser.parse_args(arguments)
     try:
-        parity = verify_decision(given.folder, given.decisions)
+        parity = verify_decision(given.folder, given.decisions, given.backend)
         if given.table is not None:
-            put_row(given.table, ROWS, given.folder.resolve().name, asdict(parity))
+            put_row(given.table, ROWS, row_name(given.folder, given.backend), asdict(parity))
     except UserError as error:
         print(error, file=sys.stderr)
         return 1
@@ -94,14 +96,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @own_settings()
-def verify_decision(folder: Path, n_decisions: int) -> DecisionParity:
-    """Compare decision.onnx with the game of the export's config; the weights are those of the folder."""
+def verify_decision(folder: Path, n_decisions: int, backend: Backend = "onnxruntime") -> DecisionParity:
+    """Compare the decision with the game of the export's config; the weights are those of the folder."""
     need_packages()
-    config = config_of(read_manifest(folder))
+    manifest = read_manifest(folder)
+    config, session = config_of(manifest), open_decision(folder, manifest, backend)
     policy = exported(load_policy(folder / CHECKPOINT_NAME, config))
     game = with_learned(build_game(config), config, policy)
     streets = StreetInputs(config, game)
-    session = Graph(folder / DECISION_NAME)
     rows: list[tuple[float, ...]] = []
 
     def choose(world: World) -> torch.Tensor:

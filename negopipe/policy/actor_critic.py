@@ -137,6 +137,15 @@ def sample_action(logits: Tensor, generator: Generator) -> Tensor:
     return torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
 
 
+def action_of_draw(logits: Tensor, draw: Tensor) -> Tensor:
+    """Actions [E] int64 of the policy with logits [E, A], by inversion of the cumulative probabilities.
+
+    draw: [E] uniform numbers in (0, 1)
+    """
+    until = logits.float().softmax(-1).cumsum(-1)
+    return (draw[:, None] > until).sum(-1).clamp(max=logits.shape[-1] - 1)
+
+
 def log_prob_of(action: Tensor, log_probs: Tensor) -> Tensor:
     """log pi(a|s) [E] of the actions [E] int64, where log_probs [E, A] has that of every action."""
     return log_probs.gather(1, action[:, None]).squeeze(1)

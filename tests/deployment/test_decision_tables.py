@@ -8,8 +8,8 @@ import torch
 from games import draw_tasks, drive, tiny_config
 
 from negopipe.config.root import RunConfig
-from negopipe.deployment.decision import Decision, needs, outputs
-from negopipe.deployment.decision_file import StreetInputs, arguments_of, expected
+from negopipe.deployment.decision import Decision, outputs
+from negopipe.deployment.decision_file import StreetInputs, arguments_of, expected, tensors_of
 from negopipe.deployment.tables import Capacity, street_tables
 from negopipe.errors import UserError
 from negopipe.game.game import Game, build_game
@@ -95,10 +95,8 @@ def test_a_decision_from_tables_is_the_simulators(kind: str) -> None:
     for driven in drive(game, world, horizon, 45)[::9]:
         ours = expected(config, game, policy, driven)
         for index, arguments in enumerate(arguments_of(config, game, streets, driven)):
-            tensors = {name: torch.from_numpy(array.copy()) for name, array in arguments.items()}
-            street = {name: tensors.pop(name) for name in needs(config)}
             with torch.no_grad():
-                theirs = dict(zip(outputs(config), decision(**tensors, street=street), strict=True))
+                theirs = dict(zip(outputs(config), decision(**tensors_of(config, arguments)), strict=True))
             assert float(theirs["horizon"]) == float(ours["horizon"][index])
             apart = (theirs["trajectory"] - ours["trajectory"][index])[:, :2].norm(dim=-1).max()
             n, n_same = n + 1, n_same + int(apart < 1e-3)

@@ -35,7 +35,7 @@ class Ending(logging.Handler):
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """What stands for an export."""
     runtime = Negotiator(Settings.of(as_mapping(tiny_config("yield"))), straight_on, lambda tables: {})
-    monkeypatch.setattr(Negotiator, "load", staticmethod(lambda folder: runtime))
+    monkeypatch.setattr(Negotiator, "load", staticmethod(lambda folder, seed: runtime))
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(100 + os.getpid() % 100))
     (tmp_path / MANIFEST_NAME).write_text(manifest_text({}, tmp_path, []))
@@ -47,12 +47,13 @@ def test_it_runs_until_ctrl_c_and_closes_its_recording(folder: Path, caplog: pyt
     log, ending = logging.getLogger("negopipe"), Ending()
     log.addHandler(ending)
     try:
-        assert ros2_node.main([str(folder), *MEASURES, "--record", str(folder / "drive.mcap")]) == 0
+        assert ros2_node.main([str(folder), *MEASURES, "--seed", "7", "--record", str(folder / "drive.mcap")]) == 0
     finally:
         log.removeHandler(ending)
     kept = about(folder / "drive.mcap")
     assert Vehicle.of_texts(kept) == VEHICLE
     assert len(kept["export"]) == 64
+    assert kept["seed"] == "7"
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import ros_packages  # noqa: F401
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from ros_drives import BEGIN_NS, VEHICLE, Losses, drive, in_process, odometry, on_own_street
+from runtime_drives import GENERALIST, negotiator
 from test_planning_node import Scene
 
 from negopipe.deployment import Negotiator, replay
@@ -16,7 +17,7 @@ from negopipe.deployment.middleware import again
 from negopipe.deployment.middleware.codec import definition
 from negopipe.deployment.middleware.interface import DEBUG, ODOMETRY, OUTPUTS, TOPICS, TRAJECTORY
 from negopipe.deployment.middleware.planning_node import PlanningNode
-from negopipe.deployment.middleware.recording import Recording, about, messages
+from negopipe.deployment.middleware.recording import SEED, Recording, about, messages
 from negopipe.deployment.middleware.vehicle import Vehicle
 from negopipe.errors import UserError
 
@@ -27,7 +28,7 @@ N_STEPS = 12
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A drive with losses, of the policy on its own street."""
     path = tmp_path_factory.mktemp("recorded") / "drive.mcap"
-    with Recording(path, VEHICLE.as_texts()) as file:
+    with Recording(path, VEHICLE.as_texts() | {SEED: "0"}) as file:
         drive(in_process(PlanningNode(on_own_street(), VEHICLE, 0.2), file), N_STEPS, seed=1, losses=Losses(2))
     return path
 
@@ -62,6 +63,24 @@ def test_a_replay_gives_the_recorded_trajectories(recorded: Path) -> None:
     assert done.is_same
 
 
+@pytest.mark.parametrize(("seed", "is_same"), [(5, True), (6, False)])
+def test_a_drive_with_drawn_horizons_is_replayed_by_its_seed(seed: int, is_same: bool, tmp_path: Path) -> None:
+    path, drawn = tmp_path / "drive.mcap", (*GENERALIST, "evaluation.action=sample")
+    with Recording(path, VEHICLE.as_texts() | {SEED: "5"}) as file:
+        drive(in_process(PlanningNode(negotiator(*drawn, seed=5), VEHICLE, 0.2), file), N_STEPS, seed=5)
+    done = again.replay(path, negotiator(*drawn, seed=seed))
+    assert again.seed_of(path) == 5
+    assert done.is_same == is_same
+    assert (done.n_equal == done.n_trajectories > 5) == is_same
+
+
+def test_a_recording_without_a_seed_is_refused(tmp_path: Path) -> None:
+    with Recording(tmp_path / "drive.mcap", VEHICLE.as_texts()):
+        pass
+    with pytest.raises(UserError, match=r"drive\.mcap must hold the seed of its drawn horizons, got 'seed'"):
+        again.seed_of(tmp_path / "drive.mcap")
+
+
 def test_a_replay_of_another_runtime_says_how_far_its_plans_are(recorded: Path) -> None:
     other = on_own_street()
     decide = other._decide
@@ -82,7 +101,7 @@ def test_decisions_without_a_trajectory_are_replayed_too(tmp_path: Path) -> None
 def test_the_command_compares(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(Negotiator, "load", staticmethod(lambda folder: on_own_street()))
+    monkeypatch.setattr(Negotiator, "load", staticmethod(lambda folder, seed: on_own_street()))
     (tmp_path / MANIFEST_NAME).write_text(manifest_text({}, tmp_path, []))
     assert replay.main([str(recorded), str(tmp_path)]) == 0
     lines = capsys.readouterr().out.splitlines()

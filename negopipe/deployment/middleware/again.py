@@ -10,7 +10,7 @@ from negopipe.deployment.middleware.codec import decode, encode
 from negopipe.deployment.middleware.incoming import stamp_ns
 from negopipe.deployment.middleware.interface import DEBUG, INPUTS, TRAJECTORY
 from negopipe.deployment.middleware.planning_node import PlanningNode
-from negopipe.deployment.middleware.recording import about, messages
+from negopipe.deployment.middleware.recording import SEED, about, messages
 from negopipe.deployment.middleware.vehicle import Vehicle
 from negopipe.deployment.negotiator import Negotiator
 from negopipe.errors import UserError
@@ -39,6 +39,14 @@ class Comparison:
     def is_same(self) -> bool:
         """Whether the differences are rounding at most."""
         return not self.n_unpaired and self.largest_m <= ALLOWED_M and self.largest_mps <= ALLOWED_MPS
+
+
+def seed_of(path: Path) -> int:
+    """Seed of the horizons that were drawn in a recording. UserError where it holds none."""
+    try:
+        return int(about(path)[SEED])
+    except (KeyError, ValueError) as error:
+        raise UserError(f"{path} must hold the seed of its drawn horizons, got {error}") from error
 
 
 def replay(path: Path, negotiator: Negotiator) -> Comparison:

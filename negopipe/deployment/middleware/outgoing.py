@@ -85,6 +85,7 @@ def diagnostic_values(plan: Trajectory) -> dict[str, object]:
     said = plan.diagnostics
     return {
         "horizon_s": plan.horizon_s,
+        "draw": f"{said.draw:.9g}",
         **{f"probability_{horizon_s:g}s": share for horizon_s, share in said.probabilities.items()},
         "is_full_braking": plan.is_full_braking,
         **_told(said),

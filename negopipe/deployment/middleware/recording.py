@@ -1,7 +1,8 @@
 """All messages of a drive in one MCAP file, in the order in which the node took them in and said them.
 
 Schemas are ROS 2's (`ros2msg`), messages are CDR: Foxglove and the tools of ROS 2 open it. The file holds the measures
-of the vehicle and a hash of the export, so that `negopipe.deployment.replay` can drive it again.
+of the vehicle, a hash of the export and the seed of drawn horizons, so that `negopipe.deployment.replay` can drive it
+again.
 """
 
 import time
@@ -20,6 +21,9 @@ from negopipe.errors import UserError
 PROFILE = "ros2"
 ABOUT = "negopipe"
 """Name of the file's metadata."""
+
+SEED = "seed"
+"""Key of the text that holds the seed of drawn horizons."""
 
 CHUNK_BYTES = 64 * 1024
 """What is lost at most of a file whose writer is killed."""
