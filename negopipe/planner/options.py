@@ -30,7 +30,7 @@ def planner_option(name: str, changes: Mapping[str, Any] | None = None) -> Plann
 
 
 def _checked(group: str, name: str, changes: Mapping[str, Any] | None, kind: type[T]) -> T:
-    values = OmegaConf.to_container(OmegaConf.merge(_composed(CONF / group, name), changes or {}), resolve=True)
+    values = OmegaConf.to_container(OmegaConf.merge(_composed(CONF / group, name), changes or {}))
     try:
         return TypeAdapter(kind).validate_json(json.dumps(values), strict=True)
     except ValidationError as error:
@@ -39,14 +39,14 @@ def _checked(group: str, name: str, changes: Mapping[str, Any] | None, kind: typ
         raise UserError(f"{key}: {first['msg']}, got {first['input']!r}") from error
 
 
-def _composed(folder: Path, name: str) -> Any:
+def _composed(folder: Path, name: str) -> dict[str, Any]:
     """Values of an option: those of its `defaults` list, and its own where the list says `_self_`."""
     path = folder / f"{name}.yaml"
     if not path.is_file():
         allowed = ", ".join(sorted(each.stem for each in folder.glob("*.yaml")))
         raise UserError(f"{folder.name} must be one of {allowed}, got {name}")
-    own = OmegaConf.load(path)
-    parts = []
+    own: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
+    parts: list[dict[str, Any]] = []
     for entry in own.pop("defaults", ["_self_"]):
         if entry == "_self_":
             parts.append(own)
@@ -54,4 +54,4 @@ def _composed(folder: Path, name: str) -> Any:
             parts.append(_composed(folder, entry))
         else:
             parts += [{key: _composed(folder / key, option)} for key, option in entry.items() if option]
-    return OmegaConf.merge(*parts)
+    return OmegaConf.to_container(OmegaConf.merge(*parts))  # type: ignore[return-value]

@@ -3,7 +3,8 @@
     from negopipe.planner.street_planner import StreetPlanner
 
     planner = StreetPlanner.of("narrow_lane", "frenet")
-    plans = planner.plan([[-20.0, -1.75, 0.0, 4.8]], [[[22.0, 1.75, 3.1416, 5.0]]], horizon_s=4.0, desired_speed_mps=6.0)
+    ego, other = [-20.0, -1.75, 0.0, 4.8], [22.0, 1.75, 3.1416, 5.0]  # x, y, yaw, speed
+    plans = planner.plan([ego], [[other]], horizon_s=4.0, desired_speed_mps=6.0)
     print(plans.states.position[0], plans.is_full_braking[0])
 
 Neither Hydra nor MLflow is imported. Simulation and training use `FrenetPlanner` through `game.Game.plan`.
@@ -37,7 +38,7 @@ N_AT_ONCE = 64
 class Plans(NamedTuple):
     """Trajectories of N vehicles.
 
-    states: VehicleState [N, T], at the T times `StreetPlanner.times`, in the world frame; float32, m, rad, m/s, m/s2, 1/m
+    states: VehicleState [N, T], at the T times `StreetPlanner.times`, in the world frame
     is_full_braking: [N] bool, no candidate was feasible: the trajectory is the hardest stop
     """
 

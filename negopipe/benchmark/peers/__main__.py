@@ -2,9 +2,9 @@
 
     python -m negopipe.benchmark.peers --environments build/peers --out peers.json
 
-Nothing is installed. A peer is measured where its environment is in the folder (jobs/peer_environments.sh makes them) or
-where this Python has it; else a line says that it is not installed. Each runs in a process with one thread. All take
-turns, and ratios are of CPU time, since other programs may run.
+Nothing is installed. A peer is measured where its environment is in the folder, which jobs/peer_environments.sh makes,
+or where this Python has it; else a line says that it is not installed. Each runs in a process with one thread. All
+take turns, and ratios are of CPU time, since other programs may run.
 """
 
 import argparse

@@ -50,6 +50,7 @@ FLOAT32 = ("+experiment=yield", "policy=cnn_float32")
 OBJECTS = ("+experiment=yield", "observation=objects", "policy=objects")
 PPO = (*FLOAT32, "algorithm=ppo", "curriculum.demonstrations=null")
 PLANNERS = ("planner, one plan", "planner, 1,024 plans")
+WORLDS = "simulation, 200 worlds, objects"
 GRIDS = ("gymnasium, 1 world, grids", "gymnasium, 64 worlds, grids", "simulation, 512 worlds, grids")
 
 OWN = (
@@ -58,7 +59,7 @@ OWN = (
     Workload(GRIDS[0], "negopipe_environment", "decisions", {"n_worlds": 1, "observation": "grids"}),
     Workload(GRIDS[1], "negopipe_environment", "decisions", {"n_worlds": 64, "observation": "grids"}),
     Workload(GRIDS[2], "negopipe_simulation", "decisions", {"n_worlds": 512, "overrides": FLOAT32}),
-    Workload("simulation, 200 worlds, objects", "negopipe_simulation", "decisions", {"n_worlds": 200, "overrides": OBJECTS}),
+    Workload(WORLDS, "negopipe_simulation", "decisions", {"n_worlds": 200, "overrides": OBJECTS}),
     Workload("training, PPO, grids", "negopipe_training", "decisions", {"overrides": PPO}),
 )
 
@@ -118,7 +119,7 @@ PEERS = (
         {"observation": "objects"},
         environment="highway_env",
         module="highway_env",
-        beside=("simulation, 200 worlds, objects",),
+        beside=(WORLDS,),
         differs="it: ten cars by rule, one world; negopipe: two cars that plan 216 candidates each, 200 worlds",
     ),
     Peer(
@@ -128,7 +129,7 @@ PEERS = (
         {"n_worlds": 200},
         environment="vmas",
         module="vmas",
-        beside=("simulation, 200 worlds, objects",),
+        beside=(WORLDS,),
         differs="it: two cars steered by their actions, no planner; negopipe: two cars that plan 216 candidates each",
     ),
     Peer(

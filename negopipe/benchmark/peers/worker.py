@@ -13,10 +13,8 @@ from typing import Any
 from negopipe.errors import UserError
 
 HERE = Path(__file__).parent
-ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "TORCHINDUCTOR_COMPILE_THREADS"),
-    "1",
-)
+LIBRARIES = ("OMP", "MKL", "OPENBLAS", "NUMBA")
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in LIBRARIES} | {"TORCHINDUCTOR_COMPILE_THREADS": "1"}
 OFFSCREEN = {"SDL_VIDEODRIVER": "dummy", "MPLBACKEND": "Agg"}
 LONGEST_S = 600.0
 """Longest wait for an answer, s."""

@@ -1,6 +1,6 @@
 """frenetix: the C++ core of the Frenetix motion planner, on the same street and with as many candidates.
 
-Its Python planner adds a collision check of the cheapest trajectories, which needs the CommonRoad packages beside it and
+Its Python planner adds a collision check of the cheapest trajectories. That needs the CommonRoad packages beside it and
 is left out here.
 """
 

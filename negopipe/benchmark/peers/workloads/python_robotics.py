@@ -21,7 +21,7 @@ def start(options: dict[str, Any]) -> tuple[Callable[[], int], dict[str, Any]]:
     spec = importlib.util.spec_from_file_location("frenet_optimal_trajectory", Path(options["folder"]) / FILE)
     assert spec is not None
     assert spec.loader is not None
-    planner = importlib.util.module_from_spec(spec)
+    planner: Any = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(planner)
     planner.DT, planner.MIN_T, planner.MAX_T = 0.2, 4.8, 5.9  # 6 durations, up to 5.8 s
     planner.MAX_ROAD_WIDTH, planner.D_ROAD_W = 1.8, 0.2  # 18 offsets
