@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # A virtual environment per peer that python -m negopipe.benchmark.peers compares negopipe with, from the pins in
-# jobs/peers. They cannot share one: their pins contradict each other and negopipe's. Needs Python 3.11; 8 GB in all, most of
-# it torch, which is its build with CUDA unless pip is told otherwise.
+# jobs/peers. They cannot share one: their pins contradict each other and negopipe's. Needs Python 3.11; 6 GB in all, most of
+# it torch, more with its build for CUDA, which pip takes unless it is told otherwise.
 #   bash jobs/peer_environments.sh                     all of them, in build/peers
 #   bash jobs/peer_environments.sh build/peers vmas    some of them
 set -euo pipefail

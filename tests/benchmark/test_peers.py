@@ -29,7 +29,11 @@ def start(options):
     if "broken" in options:
         raise ValueError("no licence")
     print("a library says hello")
+    calls = []
     def work():
+        calls.append(1)
+        if "dies" in options and len(calls) > 1:
+            raise RuntimeError("out of memory")
         sum(range(options["n"]))
         return 3
     return work, {"n_candidates": 3}
@@ -127,6 +131,15 @@ def test_ratios_come_from_rounds_side_by_side(fake: Path) -> None:
     assert {len(one.rounds) for one in comparison.measured.values()} == {3}
     assert comparison.left_out["broken"] == "fails: fake: ValueError: no licence"
     assert comparison.left_out["absent"].startswith("not installed: no no_such_module in ")
+
+
+def test_a_peer_that_fails_in_a_round_is_left_out(fake: Path) -> None:
+    peers = [peer("mortal", 1, dies=True), peer("other", 1)]
+    comparison = compare([peer("ours", 1)], peers, fake / "environments", n_rounds=2, seconds=0.01)
+    assert comparison.left_out == {"mortal": "fails: fake: RuntimeError: out of memory"}
+    assert [ratio.peer.name for ratio in comparison.ratios] == ["other"]
+    with pytest.raises(UserError, match="out of memory"):
+        compare([peer("ours", 1, dies=True)], [peer("other", 1)], fake / "environments", n_rounds=1, seconds=0.01)
 
 
 def test_a_comparison_is_shown_and_written(fake: Path) -> None:

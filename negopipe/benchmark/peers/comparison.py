@@ -117,16 +117,26 @@ def _side_by_side(
             try:
                 workers[name] = _started(stack, peer, python)
             except UserError as error:
-                left_out[name] = f"fails: {error}"
-                log.info(f"{name}: {left_out[name]}")
+                _leave_out(left_out, name, error)
         for own in owns if workers else ():
             workers[own.name] = _started(stack, own, sys.executable)
         rounds: dict[str, list[Round]] = {name: [] for name in workers}
         for number in range(n_rounds):
             log.info(f"round {number + 1} of {n_rounds}: {'; '.join(workers)}")
-            for name, worker in workers.items():
-                rounds[name].append(worker.measure(seconds))
+            for name in list(workers):
+                try:
+                    rounds[name].append(workers[name].measure(seconds))
+                except UserError as error:
+                    if name not in peers:
+                        raise
+                    _leave_out(left_out, name, error)
+                    del workers[name]
         return {name: Measured(worker.start, rounds[name]) for name, worker in workers.items()}
+
+
+def _leave_out(left_out: dict[str, str], name: str, error: UserError) -> None:
+    left_out[name] = f"fails: {error}"
+    log.info(f"{name}: {left_out[name]}")
 
 
 def _started(stack: ExitStack, workload: Workload, python: str) -> Worker:
