@@ -124,6 +124,11 @@ def test_percentiles_are_of_single_calls() -> None:
 
 def test_ratios_come_from_rounds_side_by_side(fake: Path) -> None:
     comparison = compared(fake)
+    kept: list[int] = []
+    groups = [peer("slow", 1), replace(peer("alone", 1), beside=("ours", "not asked for"))]
+    owns: list[Workload] = [peer("ours", 1), peer("not asked for", 1)]
+    compare(owns, groups, fake, 1, 0.01, keep=lambda so_far: kept.append(len(so_far.ratios)))
+    assert kept == [1, 3]
     (ratio,) = comparison.ratios
     assert (ratio.own.name, ratio.peer.name) == ("ours", "slow")
     assert 1 < ratio.low <= ratio.median <= ratio.high

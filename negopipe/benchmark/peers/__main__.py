@@ -17,7 +17,7 @@ from pathlib import Path
 from rich.console import Console
 
 from negopipe.benchmark.peers.catalogue import OWN, PEERS, PYTHON_ROBOTICS, Peer
-from negopipe.benchmark.peers.comparison import compare
+from negopipe.benchmark.peers.comparison import Comparison, compare
 from negopipe.benchmark.peers.tables import show, write_json, write_table
 from negopipe.errors import UserError
 
@@ -44,20 +44,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("peers.json"), help="file of all figures")
     parser.add_argument("--table", type=Path, help="CSV file with a row per ratio")
     given = parser.parse_args(arguments)
+
+    def keep(comparison: Comparison) -> None:
+        write_json(given.out, comparison, given.rounds, given.seconds)
+        if given.table and comparison.ratios:
+            write_table(given.table, comparison)
+
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         if given.rounds < 1 or not given.seconds > 0:
             raise UserError(f"--rounds and --seconds must be above 0, got {given.rounds} and {given.seconds:g}")
         peers = chosen(given.only, given.python_robotics)
-        comparison = compare(OWN, peers, given.environments, given.rounds, given.seconds)
+        comparison = compare(OWN, peers, given.environments, given.rounds, given.seconds, keep)
+        keep(comparison)
     except UserError as error:
         print(error, file=sys.stderr)
         return 1
     console = Console()
     show(comparison, console if console.is_terminal else Console(width=120))
-    write_json(given.out, comparison, given.rounds, given.seconds)
-    if given.table:
-        write_table(given.table, comparison)
     return 0
 
 

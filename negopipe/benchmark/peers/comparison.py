@@ -3,7 +3,7 @@
 import importlib.util
 import logging
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,11 +58,17 @@ def python_of(peer: Peer, environments: Path) -> str | None:
 
 
 def compare(
-    owns: Iterable[Workload], peers: Iterable[Peer], environments: Path, n_rounds: int, seconds: float
+    owns: Iterable[Workload],
+    peers: Iterable[Peer],
+    environments: Path,
+    n_rounds: int,
+    seconds: float,
+    keep: Callable[[Comparison], None] = lambda _: None,
 ) -> Comparison:
     """Measure peers and what they are compared with, those with the same unit and partners side by side.
 
     seconds: CPU time of a round
+    keep: called with what there is after every group, since a later one may be interrupted
 
     A peer that is not installed, or fails, is left out and told. UserError where a workload of negopipe fails.
     """
@@ -76,6 +82,7 @@ def compare(
             found = _side_by_side([by_name[name] for name in partners], installed, n_rounds, seconds, left_out)
             ratios += _ratios([by_name[name] for name in partners], group, found)
             measured |= found
+            keep(Comparison(measured, ratios, left_out))
     return Comparison(measured, ratios, left_out)
 
 
