@@ -62,6 +62,14 @@ def test_an_own_street_is_filmed(tmp_path: Path) -> None:
         assert read.n_frames == 6  # type: ignore[attr-defined]
 
 
+def test_the_planner_alone_draws_its_plans(tmp_path: Path) -> None:
+    reached = main_of("planner")(str(tmp_path / "plans.png"))
+    assert reached[0] > 10  # pushes through the corridor
+    assert reached[3] < -6  # waits before it
+    with Image.open(tmp_path / "plans.png") as read:
+        assert read.format == "PNG"
+
+
 def test_one_policy_plays_both_sides() -> None:
     pytest.importorskip("stable_baselines3")
     rows = list(main_of("self_play")(128, n_agents=4, n_steps=6, overrides=("scenario.episode_steps=12",)))

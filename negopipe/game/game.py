@@ -22,6 +22,7 @@ from negopipe.simulation.scenario import ScenarioConfig
 from negopipe.simulation.simulator import Events, Simulator
 from negopipe.simulation.state import EGO, Motion, World
 from negopipe.tensors.chunked import ChunkedFunction
+from negopipe.tensors.compiled import compiled
 from negopipe.tensors.cuda_graph import GraphedFunction
 
 CHUNKS = {"cpu": [64], "cuda": [64, 512, 4096]}
@@ -145,7 +146,7 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
 
 def _accelerator(kind: str, is_compiled: bool) -> Callable[[Callable], Callable]:
     """Functions of worlds, in chunks on a kind of device, compiled or not."""
-    compilers: dict[str, Callable[[Callable], Callable]] = {"cpu": _compile, "cuda": GraphedFunction}
+    compilers: dict[str, Callable[[Callable], Callable]] = {"cpu": compiled, "cuda": GraphedFunction}
     compiler = compilers[kind] if is_compiled else None
     return lambda fn: ChunkedFunction(fn, CHUNKS[kind], compiler)
 
@@ -166,18 +167,6 @@ def _sensor(config: GameConfig, device: torch.device | str) -> Sensor:
         config.population.is_attentive,
         config.planner.lowest_speed_mps,
     )
-
-
-def _compile(fn: Callable) -> Callable:
-    """`fn` compiled without guards and for one thread.
-
-    Guards cost as much as a tenth of the work. They are not needed: `ChunkedFunction` keeps shapes and dtypes, and the
-    parts of a game never change. Compiled code belongs to a code object, and without guards a function could be given
-    the code of another one, so every function gets a code object of its own. A chunk is too small for more threads.
-    """
-    fn.__code__ = fn.__code__.replace()
-    no_guards = torch.compiler.skip_all_guards_unsafe
-    return torch.compile(fn, dynamic=False, options={"guard_filter_fn": no_guards, "cpp.threads": 1})
 
 
 def has_compiler() -> bool:
