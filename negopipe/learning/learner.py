@@ -80,7 +80,7 @@ class Learner:
             advantage = torch.ones_like(advantage)
         seen = _learned_from(rollout.observation, rollout.share.own(rollout.is_learning, 1))
         share = rollout.share.chosen(rollout.is_learning)
-        decisions = Decisions(seen, *(share.own(f) for f in (action, log_prob, advantage, returns)), share)
+        decisions = Decisions.of([seen, *(share.own(f) for f in (action, log_prob, advantage, returns))], share)
         demonstrated = (
             None if self.demonstrations is None else self.demonstrations.show(self.policy, progress, self.generator)
         )

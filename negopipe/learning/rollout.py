@@ -5,7 +5,7 @@ further agents that the policy drives, as in self-play. `*obs` is the shape of o
 """
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Generator, Tensor
@@ -205,10 +205,11 @@ def _joined(rollout: Rollout, worlds: Share) -> Rollout:
     steps["last_value"] = steps["last_value"][None]
     by_world = {name: steps.pop(name).T for name in OF_WORLDS} | {name: info.T for name, info in infos.items()}
     by_agent = {name: numbers.T for name, numbers in steps.items()}
-    joined = rollout.share.gather(by_agent) | worlds.gather(by_world)
-    joined = {name: numbers.T.contiguous() for name, numbers in joined.items()}
-    ended, last_value = {name: joined.pop(name) for name in infos}, joined.pop("last_value")[0]
-    rollout = replace(rollout, **joined, last_value=last_value)
+    gathered = rollout.share.gather(by_agent) | worlds.gather(by_world)
+    joined: dict[str, Any] = {name: numbers.T.contiguous() for name, numbers in gathered.items()}
+    joined["last_value"] = joined["last_value"][0]
+    ended = {name: joined.pop(name) for name in infos}
+    rollout = replace(rollout, **joined)
     return replace(rollout, final_info={name: info[rollout.is_over] for name, info in ended.items()})
 
 

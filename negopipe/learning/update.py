@@ -6,7 +6,7 @@ entropy           H    = -1/N sum_t sum_a pi(a|s_t) log pi(a|s_t)
 together          L    = L_pi + c_V L_V - c_H H
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -125,11 +125,17 @@ class Decisions:
 
     def __getitem__(self, index: Tensor) -> "Decisions":
         row, share = self.share.take(index)
-        return Decisions(*(each.index_select(0, row) for each in self.columns), share=share)
+        return Decisions.of([each.index_select(0, row) for each in self.columns], share)
 
     def __add__(self, more: "Decisions") -> "Decisions":
         pairs = zip(self.columns, more.columns, strict=True)
-        return Decisions(*(torch.cat(pair) for pair in pairs), share=self.share.followed_by(more.share))
+        return Decisions.of([torch.cat(pair) for pair in pairs], self.share.followed_by(more.share))
+
+    @classmethod
+    def of(cls, columns: Sequence[Tensor], share: Share) -> "Decisions":
+        """Decisions of what `columns` holds."""
+        observation, action, log_prob, advantage, returns = columns
+        return cls(observation, action, log_prob, advantage, returns, share)
 
     @property
     def columns(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -138,7 +144,7 @@ class Decisions:
 
     def shared(self, share: Share) -> "Decisions":
         """The rows of a share in decisions that every rank knows."""
-        return Decisions(*(share.own(each) for each in self.columns), share=share)
+        return Decisions.of([share.own(each) for each in self.columns], share)
 
 
 @dataclass(frozen=True)

@@ -141,7 +141,7 @@ class PartialShare(Share):
         columns = [_as_bytes(each) for each in (self.place, *named.values())]
         rows = torch.cat(self.ranks.gather(torch.cat(columns, dim=1)))
         place, *parts = rows.split([each.shape[1] for each in columns], dim=1)
-        order = place.contiguous().view(torch.int64).flatten()
+        order = _from_bytes(place, self.place)
         return {
             name: own.new_empty(self.n, *own.shape[1:]).index_copy_(0, order, _from_bytes(part, own))
             for (name, own), part in zip(named.items(), parts, strict=True)
@@ -155,9 +155,10 @@ def share_of(ranks: Ranks, n: int, device: torch.device) -> Share:
 
 def _as_bytes(rows: Tensor) -> Tensor:
     """[n, K] uint8: bytes of the rows [n, ...]."""
-    return rows.reshape(len(rows), math.prod(rows.shape[1:])).contiguous().view(torch.uint8)
+    n_bytes = math.prod(rows.shape[1:]) * rows.element_size()
+    return rows.contiguous().flatten().view(torch.uint8).view(len(rows), n_bytes)
 
 
 def _from_bytes(content: Tensor, like: Tensor) -> Tensor:
     """Rows of the dtype and the shape of `like` [.., ...], from their bytes [n, K]."""
-    return content.contiguous().view(like.dtype).view(len(content), *like.shape[1:])
+    return content.clone().flatten().view(like.dtype).view(len(content), *like.shape[1:])

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from negopipe.game.curriculum import Curriculum, CurriculumStageConfig
 from negopipe.errors import UserError
+from negopipe.game.curriculum import Curriculum, CurriculumStageConfig
 from negopipe.game.environment import NegotiationEnv
 from negopipe.learning.learner import Learner
 from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
