@@ -57,6 +57,9 @@ class Ranks:
         """What `make` gives on the first rank, where alone it is called; collective."""
         return make()
 
+    def call(self, order: Any) -> None:
+        """Give the others, which wait in `first`, the order that they work by; None = there is no work for them."""
+
     def close(self) -> None:
         """Leave the others: no further collective follows."""
 

@@ -131,10 +131,11 @@ class Training:
         names = [name for name, value in measures if isinstance(value, float) and not math.isfinite(value)]
         return names + [name for name, weight in self.policy.state_dict().items() if not weight.isfinite().all()]
 
-    def save_to(self, snapshots: Snapshots) -> None:
+    def save_to(self, snapshots: Snapshots | None) -> None:
         """Save the state on which the next iteration depends; collective.
 
         The state is that of one process, so that any number of ranks can resume from it.
+        snapshots: None on other ranks than the first, which keeps them
         """
         state = (
             add_prefix("policy", self.policy.state_dict())
@@ -146,12 +147,12 @@ class Training:
             | {"actions": self.actions.get_state()}
         )
         progress = {"curve": self.curve.state_dict(), "curriculum": self.curriculum.state_dict()}
-        if self.ranks.is_first:
+        if snapshots is not None:
             snapshots.save(self.n_done, state, progress | {"n_ranks": self.ranks.number})
 
-    def resume(self, snapshots: Snapshots) -> None:
-        """Restore the first rank's newest snapshot, if there is one; collective."""
-        newest = self.ranks.first(snapshots.newest)
+    def resume(self, snapshots: Snapshots | None) -> None:
+        """Restore the first rank's newest snapshot, if there is one; collective; snapshots: as for `save_to`."""
+        newest = self.ranks.first(lambda: None if snapshots is None else snapshots.newest())
         if newest is None:
             return
         state, progress = newest
