@@ -237,7 +237,7 @@ def _said_once(line: str, error: Exception) -> str:
     from negopipe.runtime.ranks import says
     from negopipe.tensors.ranks import LostRankError
 
-    return line if says(line, is_echo=isinstance(error, LostRankError)) else SAID
+    return SAID if isinstance(error, LostRankError) or not says(line) else line
 
 
 @contextmanager

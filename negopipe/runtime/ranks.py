@@ -9,6 +9,9 @@ that. They write nothing and say nothing, unless the first one is gone.
 import hashlib
 import logging
 import os
+import signal
+import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -20,7 +23,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from negopipe.errors import UserError
+from negopipe.errors import UserError, abbreviate
 from negopipe.tensors.ranks import ALONE, ConnectedRanks, LostRankError, Ranks
 
 if TYPE_CHECKING:
@@ -69,6 +72,14 @@ class Processes(ConnectedRanks):
         if dist.is_initialized():
             dist.destroy_process_group()
 
+    def _tell(self, lost: LostRankError) -> None:
+        # torchrun sends SIGTERM to those that are left, which are about to end anyway: the line comes first
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            signal.signal(signal.SIGALRM, signal.SIG_IGN)
+        if says_loss():
+            print(lost, file=sys.stderr, flush=True)
+
     def _add_up(self, tensor: Tensor) -> None:
         dist.all_reduce(tensor)
 
@@ -93,7 +104,7 @@ def connected(config: "RunConfig") -> Iterator[Ranks]:
         log.setLevel(logging.WARNING)
     try:
         yield ranks
-    except Exception as error:
+    except BaseException as error:
         if not isinstance(error, LostRankError):
             _store().add("explained", 1)  # the others, which are about to lose this rank, need not say so
         raise
@@ -104,20 +115,22 @@ def connected(config: "RunConfig") -> Iterator[Ranks]:
         ranks.close()
 
 
-def says(line: str, is_echo: bool) -> bool:
-    """Whether this rank is the one that says a line which all may have to say.
-
-    is_echo: it only tells that another rank is lost, which one says if no rank explains its own end
-    """
+def says(line: str) -> bool:
+    """Whether this rank is the one that says a line which all may have to say."""
     if n_started() == 1:
         return True
     try:
-        store = _store()
-        if not is_echo:
-            return store.add(hashlib.sha256(line.encode()).hexdigest(), 1) == 1
-        time.sleep(EXPLAIN_S)
-        return store.add("explained", 0) == 0 and store.add("lost", 1) == 1
+        return _store().add(hashlib.sha256(line.encode()).hexdigest(), 1) == 1
     except RuntimeError:  # the store is gone with the first rank
+        return True
+
+
+def says_loss() -> bool:
+    """Whether this rank is the one that says that another is lost: the first to notice, if no rank explains its end."""
+    time.sleep(EXPLAIN_S)
+    try:
+        return _store().add("explained", 0) == 0 and _store().add("lost", 1) == 1
+    except RuntimeError:
         return True
 
 
@@ -142,7 +155,8 @@ def _connect(device: str) -> Processes:
             timeout=PATIENCE,
         )
     except RuntimeError as error:
-        raise LostRankError(n_started(), error) from error
+        reason = abbreviate(" ".join(str(error).split()))
+        raise UserError(f"torchrun must start {n_started()} processes that reach each other, got {reason}") from error
     return Processes()
 
 

@@ -5,6 +5,7 @@ point of its work, and all get the same result, bit by bit.
 """
 
 import pickle
+import re
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -15,6 +16,19 @@ from torch import Tensor
 from negopipe.errors import UserError, abbreviate
 
 T = TypeVar("T")
+
+
+class LostRankError(UserError):
+    """Another rank has ended or is out of reach."""
+
+    def __init__(self, number: int, cause: Exception) -> None:
+        reason = re.sub(r"^\[[^]]*\] ", "", " ".join(str(cause).split())).partition(". ")[
+            0
+        ]  # without the place in gloo
+        super().__init__(
+            f"one of {number} ranks has ended or is out of reach ({abbreviate(reason)}): "
+            "the same command resumes the run from its newest snapshot"
+        )
 
 
 class Ranks:
@@ -110,9 +124,14 @@ class ConnectedRanks(Ranks):
         try:
             return collective(tensor)
         except RuntimeError as error:
-            raise LostRankError(self.number, error) from error
+            lost = LostRankError(self.number, error)
+            self._tell(lost)
+            raise lost from error
         finally:
             self.seconds += time.monotonic() - started_s
+
+    def _tell(self, lost: LostRankError) -> None:
+        """Hear that another rank is lost, before the error is raised."""
 
     def _add_up(self, tensor: Tensor) -> None:
         """Put the sum over the ranks in the place of a contiguous tensor."""
@@ -125,17 +144,6 @@ class ConnectedRanks(Ranks):
     def _send(self, tensor: Tensor) -> None:
         """Put the first rank's tensor in the place of the others'."""
         raise NotImplementedError
-
-
-class LostRankError(UserError):
-    """Another rank has ended or is out of reach."""
-
-    def __init__(self, number: int, cause: Exception) -> None:
-        reason = abbreviate(" ".join(str(cause).split()), 120)
-        super().__init__(
-            f"ranks      one of {number} has ended or is out of reach, so training stops; "
-            f"the same command resumes it from the newest snapshot ({reason})"
-        )
 
 
 ALONE = Ranks()

@@ -189,7 +189,7 @@ def check_alike(policy: nn.Module, ranks: Ranks) -> None:
     bits = [weight.detach().flatten().view(torch.int32).sum(dtype=torch.int64) for weight in policy.parameters()]
     if len(set(ranks.each(int(torch.stack(bits).sum())))) > 1:
         rule = "compute alike, on processors of one kind with the same libraries"
-        raise UserError(f"ranks      all {ranks.number} must {rule}, got weights that differ between them")
+        raise UserError(f"all {ranks.number} ranks must {rule}, got weights that differ between them")
 
 
 def _copy(policy: nn.Module) -> dict[str, Tensor]:
