@@ -162,11 +162,8 @@ def collect(
                 "is_learning": is_learning,
                 "action": labelled,
                 "log_prob": log_prob_of(labelled, logits.log_softmax(-1)),
-                "reward": transition.reward,
                 "value": value,
-                "is_terminated": transition.is_terminated,
-                "is_truncated": transition.is_truncated,
-                "final_value": _final_value(policy, transition, is_learning),
+                **_outcome(policy, transition, is_learning),
                 **ended,
             }
         )
@@ -174,7 +171,7 @@ def collect(
         observation = transition.observation
     last_value = _run(policy, observation, env.is_learning())[1]
     stacked = {name: torch.stack([step[name] for step in steps]) for name in steps[0]}
-    rollout = Rollout(
+    own = Rollout(
         observation=observations,
         **stacked,  # type: ignore[arg-type]  # of fields that are tensors
         last_value=last_value,
@@ -182,7 +179,7 @@ def collect(
         is_taught=teacher is not None,
         share=agents,
     )
-    return rollout if worlds.ranks.number == 1 else _joined(rollout, worlds), running
+    return _joined(own, worlds), running
 
 
 def _run(policy: ActorCritic, observation: Tensor, is_learning: Tensor) -> tuple[Tensor, Tensor]:
@@ -197,6 +194,8 @@ def _run(policy: ActorCritic, observation: Tensor, is_learning: Tensor) -> tuple
 
 def _joined(rollout: Rollout, worlds: Share) -> Rollout:
     """The rollout with the numbers of all ranks' agents and worlds, and with the observations of this rank's alone."""
+    if worlds.ranks.number == 1:
+        return rollout
     is_over = rollout.is_over
     infos = {name: is_over.new_zeros(is_over.shape, dtype=info.dtype) for name, info in rollout.final_info.items()}
     for name, info in rollout.final_info.items():
@@ -211,6 +210,16 @@ def _joined(rollout: Rollout, worlds: Share) -> Rollout:
     ended = {name: joined.pop(name) for name in infos}
     rollout = replace(rollout, **joined)
     return replace(rollout, final_info={name: info[rollout.is_over] for name, info in ended.items()})
+
+
+def _outcome(policy: ActorCritic, transition: Transition, is_learning: Tensor) -> dict[str, Tensor]:
+    """What a transition brings the agents, each [A]."""
+    return {
+        "reward": transition.reward,
+        "is_terminated": transition.is_terminated,
+        "is_truncated": transition.is_truncated,
+        "final_value": _final_value(policy, transition, is_learning),
+    }
 
 
 def _final_value(policy: ActorCritic, transition: Transition, is_learning: Tensor) -> Tensor:

@@ -58,7 +58,7 @@ def trained(
 
     def work(ranks: Ranks) -> Trained:
         training = Training(config, None, ranks)
-        start = {name: weight.clone() for name, weight in training.policy.named_parameters()}
+        start = {name: weight.detach().clone() for name, weight in training.policy.named_parameters()}
         snapshots = Snapshots(folder, 1) if folder is not None and ranks.is_first else None
         training.resume(snapshots)
         if nudge is not None:
