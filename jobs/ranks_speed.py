@@ -58,6 +58,8 @@ class Network(NamedTuple):
 
 NETWORKS = {"10 Gbit Ethernet": Network(50e-6, 1.0e9), "100 Gbit InfiniBand": Network(5e-6, 10e9)}
 MANY = (1, 8, 64, 512)
+N_WORLDS = 128
+"""Worlds of the measured training, of which every rank needs one."""
 
 
 class Messages:
@@ -180,6 +182,8 @@ def model(table: pd.DataFrame) -> list[dict]:
     for name, network in NETWORKS.items():
         for scaling in ("strong", "weak"):
             for n in MANY:
+                if scaling == "strong" and n > N_WORLDS:
+                    continue
                 compute_s = serial_s + (shared_s / n if scaling == "strong" else shared_s)
                 in_collectives_s = sum(
                     each["number"] * _message_s(each["name"], each["bytes"], n, network, scaling) for each in sent
