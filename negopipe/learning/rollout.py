@@ -157,16 +157,9 @@ def collect(
         labelled = action if teacher is None else teacher()
         transition = env.step(action)
         running, ended = _count(running, transition)
-        steps.append(
-            {
-                "is_learning": is_learning,
-                "action": labelled,
-                "log_prob": log_prob_of(labelled, logits.log_softmax(-1)),
-                "value": value,
-                **_outcome(policy, transition, is_learning),
-                **ended,
-            }
-        )
+        decided = {"is_learning": is_learning, "action": labelled, "value": value}
+        decided["log_prob"] = log_prob_of(labelled, logits.log_softmax(-1))
+        steps.append({**decided, **_outcome(policy, transition, is_learning), **ended})
         infos.append(transition.final_info)
         observation = transition.observation
     last_value = _run(policy, observation, env.is_learning())[1]
