@@ -112,7 +112,6 @@ def test_two_ranks_train_with_kfac_as_one_process_does() -> None:
         (*OBJECTS, "algorithm=a2c"),
         (*OBJECTS, *LEAGUE, "algorithm=ppo"),
         (*OBJECTS, *LEAGUE, "algorithm=acktr"),
-        ("curriculum=demonstrations", "curriculum.demonstrations.n_tasks=2", "curriculum.demonstrations.rounds=1"),
     ],
     ids=lambda overrides: " ".join(overrides) or "acktr",
 )
@@ -121,6 +120,14 @@ def test_any_number_of_ranks_trains_as_one_process_does(number: int, overrides: 
     whole = trained(config, 1, 3)
     nudged = [distance(trained(config, 1, 3, nudge=seed), whole) for seed in range(3)]
     assert_alike(trained(config, number, 3), whole, max(ROUNDING, 10 * max(nudged)))
+
+
+@pytest.mark.slow
+def test_ranks_learn_from_the_demonstrations_that_one_process_finds() -> None:
+    sizes = {"n_tasks": 1, "rounds": 1, "population": 2, "n_decisions": 9}
+    few = [f"curriculum.demonstrations.{name}={n}" for name, n in sizes.items()]
+    config = compose_config([*SMALL, *OBJECTS, "curriculum=demonstrations", *few])
+    assert_alike(trained(config, 2, 1), trained(config, 1, 1))
 
 
 @pytest.mark.slow
