@@ -7,7 +7,7 @@ The map, lowest first: a package imports only what stands above it here, and its
     checks        what a component says of its own values: problems, memory
     environment   environment variables and the user's home
     schema        how a component declares its configuration
-    tensors       batched tensors without anything of driving: trees, chunks, random streams, settings of torch
+    tensors       batched tensors without anything of driving: trees, chunks, random streams, ranks, settings of torch
     policy        the networks
     learning      ACKTR, PPO and A2C: rollout, advantage, update, K-FAC; tensors only
     maps          real streets: lanelet2 and CommonRoad files in, CommonRoad scenarios out
@@ -23,7 +23,8 @@ The map, lowest first: a package imports only what stands above it here, and its
     search        the oracle: the best sequence of horizons, found with full knowledge of a task
     report        figures, films, tables, headlines, the page
     config        the root config: composed, checked, frozen
-    runtime       how a process runs: device, compiler, threads, workers, interruption, which results are the same
+    runtime       how a process runs: device, compiler, threads, workers, ranks, interruption, which results are the
+                  same
     training      Algorithm 1: the loop, its record, the league, demonstrations, reuse
     benchmark     speed of simulator, planner and training, and what bounds it
     sweeping      a sweep's objective, Optuna search, the comparison of many runs

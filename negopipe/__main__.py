@@ -18,6 +18,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import hydra
@@ -37,6 +38,7 @@ from negopipe.sweeping import optuna_sweeper
 
 if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
+    from negopipe.tensors.ranks import Ranks
     from negopipe.tracking.store import TrackedRun
 
 log = logging.getLogger("negopipe")
@@ -55,6 +57,10 @@ DISK_FAULTS = {
     *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.ENAMETOOLONG),  # no right, no folder
 }
 """Error numbers of an OSError that the user can correct: the outputs folder takes no more files."""
+IS_FIRST = (os.environ.get("RANK") or "0") == "0"
+"""Whether this process speaks for those of `torchrun` (negopipe.runtime.ranks)."""
+SAID = ""
+"""Failure that another process of `torchrun` tells."""
 RESUME = "finished work is kept, and the same command resumes the run"
 
 
@@ -85,11 +91,13 @@ def _run_command() -> int:
         except UserError as error:
             lines = [str(error)]
         except KeyboardInterrupt:
-            print("interrupted", file=sys.stderr)
+            if IS_FIRST:
+                print("interrupted", file=sys.stderr)
             return 130
+        lines = lines if IS_FIRST else [SAID for _ in lines]
         lines = [json.loads(line) for line in failures] + lines  # those of a sweep's jobs first
     for line in dict.fromkeys(lines):
-        print(line, file=sys.stderr)
+        print(line, end="\n" if line else "", file=sys.stderr)
     return 1 if lines else 0
 
 
@@ -106,16 +114,10 @@ def pipeline(composed: DictConfig) -> float | None:
 
 
 def run_stages(composed: DictConfig) -> float | None:
-    """Check the config, open its run and run its stages in order; returns the objective, None if there is none."""
-    from negopipe.config.root import RESULT_NEUTRAL, as_mapping, load, run_name
-    from negopipe.runtime import backend, network_choice
-    from negopipe.runtime.identity import source_hash, stage_key
-    from negopipe.sweeping.objective import objective
+    """Check the config and run its stages, or help the rank that does; returns the objective, None if there is none."""
+    from negopipe.config.root import load
+    from negopipe.runtime.ranks import connected
     from negopipe.tracking.checkpoint import find_checkpoint
-    from negopipe.tracking.metrics_file import read
-    from negopipe.tracking.run_folder import METRICS_NAME
-    from negopipe.tracking.store import open_run
-    from negopipe.training.reuse import take_over_training
 
     config = load(composed, HydraConfig.get().overrides.task)
     _check_places(config)
@@ -123,6 +125,24 @@ def run_stages(composed: DictConfig) -> float | None:
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
         find_checkpoint(config.checkpoint, config)  # before a run is made that could only fail
+    with connected(config) as ranks:
+        if ranks.is_first:
+            return _run(config, stages, ranks)
+        importlib.import_module("negopipe.stages.train").follow(ranks)
+        return None
+
+
+def _run(config: "RunConfig", stages: list[ModuleType], ranks: "Ranks") -> float | None:
+    """Open the config's run and run its stages in order; returns the objective, None if there is none."""
+    from negopipe.config.root import RESULT_NEUTRAL, as_mapping, run_name
+    from negopipe.runtime import backend, network_choice
+    from negopipe.runtime.identity import source_hash, stage_key
+    from negopipe.sweeping.objective import objective
+    from negopipe.tracking.metrics_file import read
+    from negopipe.tracking.run_folder import METRICS_NAME
+    from negopipe.tracking.store import open_run
+    from negopipe.training.reuse import take_over_training
+
     opened = open_run(
         config,
         run_name(config),
@@ -145,7 +165,7 @@ def run_stages(composed: DictConfig) -> float | None:
             run.begin()
             if name == "train" and not config.rerun and take_over_training(config, run, key):
                 continue
-            stage.run(config, run)
+            stage.run(config, run, *([ranks] if name == "train" else []))
             run.mark_finished(name, key)
         if run.has_begun:
             run.offer_comparison_view(config.objective, RESULT_NEUTRAL)
@@ -154,7 +174,14 @@ def run_stages(composed: DictConfig) -> float | None:
 
 
 def _check_places(config: "RunConfig") -> None:
-    """UserError where Hydra would change the working directory, or where the run folder's name is no text."""
+    """UserError where Hydra would change the working directory, or where the run folder's name is no text.
+
+    A sweep has many runs, and the processes of `torchrun` make one.
+    """
+    from negopipe.runtime.ranks import n_started
+
+    if n_started() > 1 and HydraConfig.get().mode == RunMode.MULTIRUN:
+        raise UserError(f"torchrun must run one config, without -m or --multirun, got {n_started()} processes")
     if HydraConfig.get().job.chdir:
         raise UserError(
             "hydra.job.chdir must be false, got true: relative paths are relative to where the command is given"
@@ -197,11 +224,20 @@ def _note_failure(error: Exception) -> None:
     elif not isinstance(error, UserError):
         traceback.print_exception(error)
         line = f"failed with {type(error).__name__}: {' '.join(HydraConfig.get().overrides.task)}"
+    line = _said_once(line, error)
     path = Path(os.environ.get(FAILURES, ""))
     if not path.is_file():  # in a worker on another machine: the launcher carries the error
         raise UserError(line) from error
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(line) + "\n")
+
+
+def _said_once(line: str, error: Exception) -> str:
+    """The line, or `SAID` where another process of `torchrun` tells it."""
+    from negopipe.runtime.ranks import says
+    from negopipe.tensors.ranks import LostRankError
+
+    return SAID if isinstance(error, LostRankError) or not says(line) else line
 
 
 @contextmanager

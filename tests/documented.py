@@ -36,10 +36,12 @@ def all_commands() -> list[str]:
 def overrides(command: str) -> list[str] | None:
     """Overrides of a `python -m negopipe` that a single run can be composed with; None for other commands.
 
-    Of a sweep's values the first counts. Hydra's own keys, ranges of a search and what stands for a checkpoint are left
-    to the test that runs the command.
+    `torchrun` stands for python. Of a sweep's values the first counts. Hydra's own keys, ranges of a search and what
+    stands for a checkpoint are left to the test that runs the command.
     """
     words = [word for word in shlex.split(command) if not re.fullmatch(r"[A-Z_]+=\S*", word)]
+    if words[:2] == ["torchrun", "--nproc-per-node"]:
+        words = ["python", *words[3:]]
     if words[:3] != ["python", "-m", "negopipe"]:
         return None
     options = {"--cfg", "job", "--help", "-m"}

@@ -33,6 +33,10 @@ fi
 exec {sys.executable} "$@"
 """
 """Stands for python: what follows a command's own settings makes it small."""
+SMALL_TORCHRUN = f"""#!/usr/bin/env bash
+OMP_NUM_THREADS=1 exec {sys.executable} -m torch.distributed.run "$@" {SMALL} {OF_GRIDS}
+"""
+"""Stands for torchrun, whose commands train networks of grids."""
 
 MEASURES = "--wheel-base 2.7 --front-overhang 0.9 --rear-overhang 0.9"
 PREFIX = "\"$(python -c 'import torch; print(torch.utils.cmake_prefix_path)')\""
@@ -85,6 +89,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     python.parent.mkdir(parents=True)
     python.write_text(SMALL_PYTHON)
     python.chmod(0o755)
+    torchrun = python.with_name("torchrun")
+    torchrun.write_text(SMALL_TORCHRUN)
+    torchrun.chmod(0o755)
     (folder / ".venv" / ".ready").touch()
     return folder
 
@@ -130,7 +137,7 @@ def test_a_script_of_jobs_runs(script: str, place: Path, address: str) -> None:
         pytest.skip("is what the address is of")
     if script == "peer_environments.sh":
         pytest.skip(NOT_RUN[f"bash jobs/{script}"])
-    if script == "slurm_sweep.sh" and shutil.which("sbatch") is None:
+    if script.startswith("slurm_") and shutil.which("sbatch") is None:
         pytest.skip("there is no SLURM")
     if engine := missing_engine((ROOT / "jobs" / script).read_text(encoding="utf-8")):
         pytest.skip(f"{engine} is not installed")

@@ -143,3 +143,12 @@ def test_the_speed_of_environments_is_measured(tmp_path: Path) -> None:
     assert table["way"].tolist() == ["single", "sync", "batched"] * 2
     assert (table["decisions_per_s"] > 0).all()
     assert (table.loc[table["way"] == "single", "times_single"] == 1).all()
+
+
+def test_the_model_of_many_ranks_is_made_of_the_measured_rows() -> None:
+    job, results = load_script("ranks_speed"), ROOT / "jobs" / "results"
+    rows = pd.DataFrame(job.model(pd.read_csv(results / "ranks_speed.csv")))
+    pd.testing.assert_frame_equal(rows, pd.read_csv(results / "ranks_model.csv"))
+    network = job.Network(latency_s=1e-3, bytes_per_s=1e6)
+    assert job.all_reduce_s(1e6, 2, network) == pytest.approx(2e-3 + 1.0)
+    assert job.all_gather_s(1e6, 4, network) == pytest.approx(2e-3 + 3.0)

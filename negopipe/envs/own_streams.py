@@ -18,6 +18,9 @@ class OwnStreams:
         """Begin the stream of a world anew."""
         self.generators[world].manual_seed(number)
 
+    def expect(self, n: int) -> None:
+        """Nothing to prepare: every world has a stream of its own."""
+
     def draw_for(self, worlds: Tensor) -> Task:
         """Draw the next task of each of the worlds [n] int64."""
         return self.sampler.draw_each([self.generators[world] for world in worlds.tolist()])

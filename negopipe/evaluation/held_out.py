@@ -11,10 +11,13 @@ if TYPE_CHECKING:
     from negopipe.config.root import RunConfig
 
 
-def held_out_tasks(config: "RunConfig", game: Game, setting: str) -> Task:
-    """The setting's tasks, the same for every planner and training seed; training draws from other streams."""
+def held_out_tasks(config: "RunConfig", game: Game, setting: str, n_episodes: int | None = None) -> Task:
+    """The setting's tasks, the same for every planner and training seed; training draws from other streams.
+
+    n_episodes: their number; None = `evaluation.n_episodes`
+    """
     stream = generator(config.evaluation.task_seed, f"held-out tasks {setting}", game.planner.times.device)
     families = pair_styles(config.scenario.families, config.scenario.pairing)
     return TaskSampler(config.scenario, {setting: families[setting]}, stream, game.cast.assign).draw(
-        config.evaluation.n_episodes
+        n_episodes or config.evaluation.n_episodes
     )

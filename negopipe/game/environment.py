@@ -16,6 +16,10 @@ from negopipe.tensors.tree import map_tensors, named_tensors, with_tensors
 class TaskSource(Protocol):
     """Source of the tasks of worlds: `TaskSampler` with one stream for all of them, or one with a stream for each."""
 
+    def expect(self, n: int) -> None:
+        """Hear at every step, before the draw, that `n` worlds want a task; 0 too, for those of other processes may."""
+        ...
+
     def draw_for(self, worlds: Tensor) -> Task:
         """Draw the next tasks of the worlds [n] int64."""
         ...
@@ -59,6 +63,7 @@ class NegotiationEnv:
     def restart(self) -> None:
         """Start a new task in every world."""
         everyone = torch.arange(self.n_worlds, device=self._horizons.device)
+        self.sampler.expect(self.n_worlds)
         self.world: World = self.game.simulator.reset(self.sampler.draw_for(everyone))
         self._observation = self._seen(self.world, self.game.see(self.world))
 
@@ -146,5 +151,6 @@ class NegotiationEnv:
     def _start_again(self, moved: World, reached: Tensor, which: Tensor) -> None:
         """Continue from `moved`, with observations `reached` [A, *obs], and with new tasks in the worlds `which`."""
         self.world, self._observation = moved, reached
+        self.sampler.expect(len(which))
         if len(which):
             self.begin(self.sampler.draw_for(which), which)

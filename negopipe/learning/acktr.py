@@ -29,11 +29,21 @@ from torch import Generator, Tensor
 
 from negopipe.checks import Memory, Observed
 from negopipe.learning.kfac import Kfac, KfacConfig, add_to_layer, fisher_loss
-from negopipe.learning.update import Decisions, Outputs, UpdateConfig, differentiate, measure_kl, policy_gradient_loss
+from negopipe.learning.update import (
+    Decisions,
+    Outputs,
+    UpdateConfig,
+    differentiate,
+    first_seen,
+    measure_kl,
+    policy_gradient_loss,
+    probe,
+)
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.policy.size import Layers
 from negopipe.schema import Fraction, PositiveFloat, schema
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
+from negopipe.tensors.share import Share
 
 
 @schema
@@ -88,15 +98,10 @@ class Acktr:
 
     def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
         """See `Algorithm.step`; policy_step and value_step (eta) are returned as well."""
-        self.kfac.refresh(lambda n: fisher_loss(self.policy, batch.observation[:n], self.generator))
+        refresh(self.kfac, self.policy, batch, self.generator)
         outputs, parts = differentiate(self.policy, batch, policy_gradient_loss, self.config, progress)
-        n = self.config.n_probe
-        return {
-            **parts,
-            **self._descend(
-                self.kfac.gradient(), self.config.step_share(progress), batch.observation[:n], outputs.first(n)
-            ),
-        }
+        probed = probe(batch, outputs, self.config.n_probe)
+        return {**parts, **self._descend(self.kfac.gradient(), self.config.step_share(progress), probed)}
 
     def state_dict(self) -> dict[str, Tensor]:
         state = add_prefix("kfac", self.kfac.state_dict()) | add_prefix("momentum", self.momentum)
@@ -108,11 +113,12 @@ class Acktr:
         self.momentum = {name: m.to(device) for name, m in strip_prefix("momentum", state).items()}
         self._n_unusable = int(state["n_unusable"])
 
-    def _descend(self, gradient: dict[str, Tensor], shrink: float, probe: Tensor, before: Outputs) -> dict[str, Tensor]:
+    def _descend(
+        self, gradient: dict[str, Tensor], shrink: float, probed: tuple[Tensor, Outputs, Share]
+    ) -> dict[str, Tensor]:
         """Move the parameters within both trust regions; a gradient that is zero or not finite moves nothing.
 
-        probe: observations [n, *obs] on which the KL is measured
-        before: outputs of the network for them before the step
+        probed: what `measure_kl` asks for, from before the step
         """
         norm = inner(gradient, gradient)
         if not (self.kfac.is_ready and bool(norm.isfinite()) and bool(norm > 0)):
@@ -124,13 +130,13 @@ class Acktr:
         bound, value_bound = (shrink**2 * clip for clip in (self.config.kl_clip, self.config.value_kl_clip))
         value_step = self._move(v, value_head, value_bound, shrink)
         policy_step = self._move(v, others, bound, shrink)
-        moved = measure_kl(self.policy, probe, before)
+        moved = measure_kl(self.policy, *probed)
         value_share = kl_backtracking(moved["value_kl"], value_bound)
         policy_share = torch.minimum(kl_backtracking(moved["kl"], bound), value_share)
         if policy_share < 1:
             self._add(v, value_head, value_step * (1 - value_share))
             self._add(v, others, policy_step * (1 - policy_share))
-            moved = measure_kl(self.policy, probe, before)
+            moved = measure_kl(self.policy, *probed)
         return {**moved, "policy_step": policy_step * policy_share, "value_step": value_step * value_share}
 
     def _move(self, v: dict[str, Tensor], names: list[str], bound: float, shrink: float) -> Tensor:
@@ -152,6 +158,19 @@ class Acktr:
         if bool(inner(v, gradient) > 0):
             return momentum, v
         return gradient, self.kfac.natural_gradient(gradient)
+
+
+def refresh(kfac: Kfac, policy: ActorCritic, batch: Decisions, generator: Generator) -> None:
+    """Let K-FAC take its statistics of a minibatch and invert, where its schedule says so; collective.
+
+    generator: samples the targets of the Fisher matrix; on the policy's device
+    """
+
+    def loss(n: int) -> Tensor:
+        seen, share = first_seen(batch, n)
+        return fisher_loss(policy, seen, generator, share)
+
+    kfac.refresh(loss, batch.share)
 
 
 def trust_region_step(quadratic: Tensor, kl_clip: float, learning_rate: float) -> Tensor:

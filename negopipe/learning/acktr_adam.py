@@ -8,10 +8,10 @@ from typing import Literal
 
 from torch import Generator, Tensor
 
-from negopipe.learning.acktr import NaturalGradientConfig
+from negopipe.learning.acktr import NaturalGradientConfig, refresh
 from negopipe.learning.adam import AdamConfig, TwoRateAdam
-from negopipe.learning.kfac import Kfac, fisher_loss
-from negopipe.learning.update import Decisions, differentiate, measure_kl, policy_gradient_loss
+from negopipe.learning.kfac import Kfac
+from negopipe.learning.update import Decisions, differentiate, measure_kl, policy_gradient_loss, probe
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.schema import schema
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
@@ -45,15 +45,14 @@ class AcktrAdam:
         return self.adam.n_skipped + self.kfac.n_failures
 
     def step(self, batch: Decisions, progress: float) -> dict[str, Tensor]:
-        self.kfac.refresh(lambda n: fisher_loss(self.policy, batch.observation[:n], self.generator))
+        refresh(self.kfac, self.policy, batch, self.generator)
         outputs, parts = differentiate(self.policy, batch, policy_gradient_loss, self.config, progress)
         if self.kfac.is_ready:
             self.kfac.set_gradient(self.kfac.natural_gradient(self.kfac.gradient()))
         else:
             self.policy.zero_grad(set_to_none=False)
         self.adam.step(self.config.step_share(progress))
-        n = self.config.n_probe
-        return {**parts, **measure_kl(self.policy, batch.observation[:n], outputs.first(n))}
+        return {**parts, **measure_kl(self.policy, *probe(batch, outputs, self.config.n_probe))}
 
     def state_dict(self) -> dict[str, Tensor]:
         return add_prefix("kfac", self.kfac.state_dict()) | add_prefix("adam", self.adam.state_dict())

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from negopipe.learning.update import Decisions, Outputs, UpdateConfig, differentiate, measure_kl
+from negopipe.learning.update import Decisions, Outputs, UpdateConfig, differentiate, measure_kl, probe
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.schema import PositiveFloat, schema
 
@@ -97,7 +97,7 @@ class FirstOrder:
         outputs, parts = differentiate(policy, batch, self.policy_loss, config, progress)
         nn.utils.clip_grad_norm_(policy.parameters(), config.gradient_norm_max)
         self.adam.step(self.config.step_share(progress))
-        return {**parts, **measure_kl(policy, batch.observation[: config.n_probe], outputs.first(config.n_probe))}
+        return {**parts, **measure_kl(policy, *probe(batch, outputs, config.n_probe))}
 
     def state_dict(self) -> dict[str, Tensor]:
         return self.adam.state_dict()

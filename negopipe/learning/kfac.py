@@ -35,6 +35,7 @@ from negopipe.checks import FLOAT_BYTES, N_COPIES, N_TEMPORARIES, Memory
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
 from negopipe.policy.size import Layers
 from negopipe.schema import Fraction, PositiveFloat, PositiveInt, schema
+from negopipe.tensors.share import WHOLE, Share
 
 Layer = nn.Linear | nn.Conv2d
 DAMPING_RETRIES = 6
@@ -111,14 +112,16 @@ class Kfac:
         self.n_statistics_taken = 0
         self.n_failures = 0
 
-    def refresh(self, fisher_loss: Callable[[int], Tensor]) -> None:
-        """Take statistics and invert, where the schedule says so; to be called once per update.
+    def refresh(self, fisher_loss: Callable[[int], Tensor], share: Share = WHOLE) -> None:
+        """Take statistics and invert, where the schedule says so; to be called once per update; collective.
 
         fisher_loss: runs the network on N samples and returns -sum_N log-likelihood of targets that are sampled from
             the network's own output (targets of the data would give the empirical Fisher matrix)
+        share: this rank's in the minibatch
         """
         if self.n_updates % self.config.statistics_interval == 0:
-            self._take_statistics(lambda: fisher_loss(self.config.n_statistics))
+            n = self.config.n_statistics
+            self._take_statistics(lambda: fisher_loss(n), share.first(n))
         if self.n_updates % self.config.inverse_interval == 0 or not self.inverses:
             self._invert()
         self.n_updates += 1
@@ -159,29 +162,30 @@ class Kfac:
                     sides = (state[f"{kind}/{name}/{side}"] for side in ("inputs", "outputs"))
                     table[name] = Factors(*(side.to(layer.weight.device) for side in sides))
 
-    def _take_statistics(self, fisher_loss: Callable[[], Tensor]) -> None:
+    def _take_statistics(self, fisher_loss: Callable[[], Tensor], share: Share) -> None:
         inputs, output_gradients = record(self.layers, fisher_loss)
         new = {
             name: Factors(
-                input_factor(
-                    layer,
-                    self._samples_for(layer, inputs[name], output_gradients[name]),
-                    self.config.max_factor_size,
-                ),
-                output_factor(layer, output_gradients[name]),
+                self._input_factor(layer, inputs[name], output_gradients[name], share),
+                share.part(output_factor(layer, output_gradients[name])),
             )
             for name, layer in self.layers.items()
         }
-        if not _is_finite([side for f in new.values() for side in (f.inputs, f.outputs)]):
+        sides = [side for f in new.values() for side in (f.inputs, f.outputs)]
+        share.add_up(sides)
+        if not _is_finite(sides):
             self.n_failures += 1
             return
         decay = min(self.config.statistics_decay, 1 - 1 / (self.n_statistics_taken + 1))
         self.factors = {name: _average(self.factors.get(name), f, decay) for name, f in new.items()}
         self.n_statistics_taken += 1
 
-    def _samples_for(self, layer: Layer, x: Tensor, d: Tensor) -> Tensor:
-        """The first samples of a layer's input x, which hold `n_patches` positions; all where there is one position."""
-        return x if d.dim() == 2 else x[: self.config.n_cut(n_positions(layer, d))]
+    def _input_factor(self, layer: Layer, x: Tensor, d: Tensor, share: Share) -> Tensor:
+        """This rank's part of A, of the first samples, which hold `n_patches` positions; of all where there is one."""
+        if d.dim() > 2:
+            n = self.config.n_cut(n_positions(layer, d))
+            x, share = x[: share.n_first(n)], share.first(n)
+        return share.part(input_factor(layer, x, self.config.max_factor_size))
 
     def _invert(self) -> None:
         """New inverses of all layers; a layer that cannot be inverted keeps its old one."""
@@ -193,14 +197,15 @@ class Kfac:
             self.inverses[name] = inverse
 
 
-def fisher_loss(policy: ActorCritic, observation: Tensor, generator: Generator) -> Tensor:
+def fisher_loss(policy: ActorCritic, observation: Tensor, generator: Generator, share: Share = WHOLE) -> Tensor:
     """-sum log-likelihood of targets drawn from the network's own output; its gradients make up F.
 
     Actions are drawn from pi; the normalised value is the mean of a unit Gaussian.
+    share: this rank's, whose observations these are
     """
     logits, value = policy(observation)
-    action = sample_action(logits.detach(), generator)
-    noise = torch.randn(value.shape, generator=generator, device=value.device)
+    action = share.own(sample_action(share.spread(logits.detach()), generator))
+    noise = share.own(torch.randn(share.n_all(len(value)), generator=generator, device=value.device))
     target = value.detach() + policy.value_std * noise
     log_likelihood = -0.5 * ((target - value) / policy.value_std).square()
     return -(log_likelihood + log_prob_of(action, logits.log_softmax(-1))).sum()
@@ -246,7 +251,7 @@ def n_inputs(layer: Layer) -> int:
 
 def n_positions(layer: Layer, d: Tensor) -> int:
     """S: positions of the output map, from the gradient d with respect to it."""
-    return d[0, 0].numel() if isinstance(layer, nn.Conv2d) else d[0].numel() // d.shape[-1]
+    return math.prod(d.shape[2:] if isinstance(layer, nn.Conv2d) else d.shape[1:-1])
 
 
 def homogeneous_inputs(layer: Layer, x: Tensor) -> Tensor:

@@ -63,7 +63,7 @@ class Learner:
         self.n_rollouts = 0
 
     def update(self, rollout: Rollout, progress: float) -> dict[str, float]:
-        """Improve the policy with one rollout.
+        """Improve the policy with one rollout; collective.
 
         progress: share of the training that is done, 0 to 1; the steps and the weight of the entropy shrink with it
         Returns the means over the updates of what `Algorithm.step` returns, explained_variance (of the returns by
@@ -71,19 +71,21 @@ class Learner:
         """
         config = self.config
         advantage, returns = estimate_advantage(rollout, config.gamma, config.advantage)
-        given = (rollout.observation, rollout.action, rollout.log_prob, advantage, returns, rollout.value)
-        seen, action, log_prob, advantage, returns, value = (_learned_from(f, rollout.is_learning) for f in given)
+        given = (rollout.action, rollout.log_prob, advantage, returns, rollout.value)
+        action, log_prob, advantage, returns, value = (_learned_from(f, rollout.is_learning) for f in given)
         self._track_returns(returns)
         explained = 1 - (returns - value).var() / returns.var().clamp(min=STD_MIN**2)
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
         if rollout.is_taught:
             advantage = torch.ones_like(advantage)
-        decisions = Decisions(seen, action, log_prob, advantage, returns)
+        seen = _learned_from(rollout.observation, rollout.share.own(rollout.is_learning, 1))
+        share = rollout.share.chosen(rollout.is_learning)
+        decisions = Decisions.of([seen, *(share.own(f) for f in (action, log_prob, advantage, returns))], share)
         demonstrated = (
             None if self.demonstrations is None else self.demonstrations.show(self.policy, progress, self.generator)
         )
         if demonstrated is not None:
-            decisions = decisions + demonstrated
+            decisions = decisions + demonstrated.shared(share.slice_of(len(demonstrated)))
         metrics = [
             self.algorithm.step(decisions[index], progress)
             for _ in range(config.n_epochs)

@@ -38,4 +38,4 @@ def clipped_loss(outputs: Outputs, batch: Decisions, clip: float) -> Tensor:
     """-1/N sum min(rho A, clip(rho) A), without a gradient that would move rho farther than `clip` from 1."""
     ratio = (outputs.log_prob(batch.action) - batch.log_prob).exp()
     clipped = ratio.clamp(1 - clip, 1 + clip)
-    return -torch.minimum(ratio * batch.advantage, clipped * batch.advantage).mean()
+    return -batch.share.mean(torch.minimum(ratio * batch.advantage, clipped * batch.advantage))

@@ -4,14 +4,20 @@ Axes: T steps of the rollout, E worlds, A agents, of which the first E are the e
 further agents that the policy drives, as in self-play. `*obs` is the shape of one observation.
 """
 
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Protocol
 
 import torch
 from torch import Generator, Tensor
 
 from negopipe.learning.teacher import Label
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
+from negopipe.tensors.share import WHOLE, Share
+
+OF_WORLDS = ("episode_return", "episode_steps", "is_success", "is_collision")
+"""Fields of a rollout that are numbers of worlds, not of agents."""
+NOT_JOINED = ("observation", "final_info", "is_taught", "share")
+"""Fields of a rollout that are not numbers of agents or worlds."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,7 @@ class Rollout:
     is_success, is_collision: [T, E] bool, its outcome; false where none ended
     final_info: name -> [N], `Transition.final_info` of the N episodes that ended, in the order of `is_over`
     is_taught: whether a teacher gave the actions
+    share: this rank's among the agents of all ranks, whose numbers these are; the observations are of its own agents
     """
 
     observation: Tensor
@@ -95,6 +102,7 @@ class Rollout:
     is_collision: Tensor
     final_info: dict[str, Tensor] = field(default_factory=dict)
     is_taught: bool = False
+    share: Share = WHOLE
 
     @property
     def is_done(self) -> Tensor:
@@ -128,48 +136,43 @@ def collect(
     generator: Generator,
     running: RunningEpisodes,
     teacher: Label | None = None,
+    worlds: Share = WHOLE,
 ) -> tuple[Rollout, RunningEpisodes]:
-    """Roll `policy` out for `n_steps` decisions, sampling its actions.
+    """Roll `policy` out for `n_steps` decisions, sampling its actions; collective.
 
     generator: draws the actions; on the environment's device
     running: the unfinished episodes of the worlds, as the previous call returned them
     teacher: labels the decisions in the environment's present state; the policy's own actions are carried out
+    worlds: this rank's share in the worlds of all ranks
     """
     observation = env.observe()
+    agents = worlds.repeated(len(observation) // env.n_worlds)
     observations = observation.new_empty(n_steps, *observation.shape)
     steps: list[dict[str, Tensor]] = []
     infos: list[dict[str, Tensor]] = []
     for t in range(n_steps):
         observations[t], is_learning = observation, env.is_learning()
         logits, value = _run(policy, observation, is_learning)
-        action = sample_action(logits, generator)
+        action = agents.own(sample_action(agents.spread(logits), generator))
         labelled = action if teacher is None else teacher()
         transition = env.step(action)
         running, ended = _count(running, transition)
-        steps.append(
-            {
-                "is_learning": is_learning,
-                "action": labelled,
-                "log_prob": log_prob_of(labelled, logits.log_softmax(-1)),
-                "reward": transition.reward,
-                "value": value,
-                "is_terminated": transition.is_terminated,
-                "is_truncated": transition.is_truncated,
-                "final_value": _final_value(policy, transition, is_learning),
-                **ended,
-            }
-        )
+        decided = {"is_learning": is_learning, "action": labelled, "value": value}
+        decided["log_prob"] = log_prob_of(labelled, logits.log_softmax(-1))
+        steps.append({**decided, **_outcome(policy, transition, is_learning), **ended})
         infos.append(transition.final_info)
         observation = transition.observation
     last_value = _run(policy, observation, env.is_learning())[1]
     stacked = {name: torch.stack([step[name] for step in steps]) for name in steps[0]}
-    return Rollout(
+    own = Rollout(
         observation=observations,
         **stacked,  # type: ignore[arg-type]  # of fields that are tensors
         last_value=last_value,
         final_info={name: torch.cat([info[name] for info in infos]) for name in infos[0]},
         is_taught=teacher is not None,
-    ), running
+        share=agents,
+    )
+    return _joined(own, worlds), running
 
 
 def _run(policy: ActorCritic, observation: Tensor, is_learning: Tensor) -> tuple[Tensor, Tensor]:
@@ -180,6 +183,36 @@ def _run(policy: ActorCritic, observation: Tensor, is_learning: Tensor) -> tuple
     outputs = policy(observation[index])
     logits, value = (each.new_zeros(len(observation), *each.shape[1:]).index_copy(0, index, each) for each in outputs)
     return logits, value
+
+
+def _joined(rollout: Rollout, worlds: Share) -> Rollout:
+    """The rollout with the numbers of all ranks' agents and worlds, and with the observations of this rank's alone."""
+    if worlds.ranks.number == 1:
+        return rollout
+    is_over = rollout.is_over
+    infos = {name: is_over.new_zeros(is_over.shape, dtype=info.dtype) for name, info in rollout.final_info.items()}
+    for name, info in rollout.final_info.items():
+        infos[name][is_over] = info
+    steps = {each.name: getattr(rollout, each.name) for each in fields(rollout) if each.name not in NOT_JOINED}
+    steps["last_value"] = steps["last_value"][None]
+    by_world = {name: steps.pop(name).T for name in OF_WORLDS} | {name: info.T for name, info in infos.items()}
+    by_agent = {name: numbers.T for name, numbers in steps.items()}
+    gathered = rollout.share.gather(by_agent) | worlds.gather(by_world)
+    joined: dict[str, Any] = {name: numbers.T.contiguous() for name, numbers in gathered.items()}
+    joined["last_value"] = joined["last_value"][0]
+    ended = {name: joined.pop(name) for name in infos}
+    rollout = replace(rollout, **joined)
+    return replace(rollout, final_info={name: info[rollout.is_over] for name, info in ended.items()})
+
+
+def _outcome(policy: ActorCritic, transition: Transition, is_learning: Tensor) -> dict[str, Tensor]:
+    """What a transition brings the agents, each [A]."""
+    return {
+        "reward": transition.reward,
+        "is_terminated": transition.is_terminated,
+        "is_truncated": transition.is_truncated,
+        "final_value": _final_value(policy, transition, is_learning),
+    }
 
 
 def _final_value(policy: ActorCritic, transition: Transition, is_learning: Tensor) -> Tensor:

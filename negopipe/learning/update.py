@@ -6,8 +6,8 @@ entropy           H    = -1/N sum_t sum_a pi(a|s_t) log pi(a|s_t)
 together          L    = L_pi + c_V L_V - c_H H
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import torch
@@ -19,6 +19,7 @@ from negopipe.learning.advantage import AdvantageConfig
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of
 from negopipe.policy.size import Layers
 from negopipe.schema import Fraction, NonNegativeFloat, PositiveFloat, PositiveInt, schema
+from negopipe.tensors.share import WHOLE, Share
 
 
 @schema
@@ -102,13 +103,14 @@ class UpdateConfig:
 
 @dataclass(frozen=True)
 class Decisions:
-    """The decisions of an update, one row each; `[index]` picks a minibatch.
+    """The decisions of an update, one row each; `[index]` picks a minibatch by its places among those of all ranks.
 
     observation: [N, *obs]
     action: [N] int64
     log_prob: [N] float32, of the action when it was taken
     advantage: [N] float32, normalised
     returns: [N] float32
+    share: this rank's, whose N rows these are; `len` counts those of all ranks
     """
 
     observation: Tensor
@@ -116,16 +118,33 @@ class Decisions:
     log_prob: Tensor
     advantage: Tensor
     returns: Tensor
+    share: Share = WHOLE
 
     def __len__(self) -> int:
-        return len(self.action)
+        return self.share.n_all(len(self.action))
 
     def __getitem__(self, index: Tensor) -> "Decisions":
-        return Decisions(*(getattr(self, field.name).index_select(0, index) for field in fields(self)))
+        row, share = self.share.take(index)
+        return Decisions.of([each.index_select(0, row) for each in self.columns], share)
 
     def __add__(self, more: "Decisions") -> "Decisions":
-        pairs = ((getattr(self, field.name), getattr(more, field.name)) for field in fields(self))
-        return Decisions(*(torch.cat(pair) for pair in pairs))
+        pairs = zip(self.columns, more.columns, strict=True)
+        return Decisions.of([torch.cat(pair) for pair in pairs], self.share.followed_by(more.share))
+
+    @classmethod
+    def of(cls, columns: Sequence[Tensor], share: Share) -> "Decisions":
+        """Decisions of what `columns` holds."""
+        observation, action, log_prob, advantage, returns = columns
+        return cls(observation, action, log_prob, advantage, returns, share)
+
+    @property
+    def columns(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """The fields with a row per decision, in their order."""
+        return self.observation, self.action, self.log_prob, self.advantage, self.returns
+
+    def shared(self, share: Share) -> "Decisions":
+        """The rows of a share in decisions that every rank knows."""
+        return Decisions.of([share.own(each) for each in self.columns], share)
 
 
 @dataclass(frozen=True)
@@ -176,7 +195,7 @@ def forward(policy: ActorCritic, observation: Tensor) -> Outputs:
 
 def policy_gradient_loss(outputs: Outputs, batch: Decisions) -> Tensor:
     """L_pi, whose gradient is the policy gradient (Eq. 5)."""
-    return -(batch.advantage * outputs.log_prob(batch.action)).mean()
+    return -batch.share.mean(batch.advantage * outputs.log_prob(batch.action))
 
 
 def total_loss(
@@ -187,9 +206,12 @@ def total_loss(
     config: UpdateConfig,
     progress: float,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """L, and its parts for the log: policy_loss, value_loss (half squared standard deviations), entropy (nat)."""
-    value_loss = half_square(batch.returns - outputs.value, policy.value_std)
-    entropy = -(outputs.log_probs.exp() * outputs.log_probs).sum(-1).mean()
+    """L, and its parts for the log: policy_loss, value_loss (half squared standard deviations), entropy (nat).
+
+    All of them are this rank's parts of those of the whole minibatch.
+    """
+    value_loss = half_square(batch.returns - outputs.value, policy.value_std, batch.share)
+    entropy = -batch.share.mean((outputs.log_probs.exp() * outputs.log_probs).sum(-1))
     loss = policy_loss - config.entropy_weight(progress) * entropy + config.value_coefficient * value_loss
     return loss, {
         "policy_loss": policy_loss.detach(),
@@ -205,32 +227,50 @@ def differentiate(
     config: UpdateConfig,
     progress: float,
 ) -> tuple[Outputs, dict[str, Tensor]]:
-    """Put grad L at the policy's parameters; returns the network's outputs for the minibatch, and the parts of L."""
+    """Put grad L at the policy's parameters; returns the network's outputs for the minibatch, and the parts of L.
+
+    Gradient and parts are those of the whole minibatch; collective.
+    """
     outputs = forward(policy, batch.observation)
     loss, parts = total_loss(policy_loss(outputs, batch), outputs, batch, policy, config, progress)
     policy.zero_grad(set_to_none=True)
     loss.backward()
+    batch.share.add_up([*(p.grad for p in policy.parameters() if p.grad is not None), *parts.values()])
     return outputs, parts
 
 
+def first_seen(batch: Decisions, n: int) -> tuple[Tensor, Share]:
+    """This rank's observations among the first `n` decisions of a minibatch, and its share in these."""
+    return batch.observation[: batch.share.n_first(n)], batch.share.first(n)
+
+
+def probe(batch: Decisions, outputs: Outputs, n: int) -> tuple[Tensor, Outputs, Share]:
+    """What `measure_kl` asks for, of the first `n` decisions of a minibatch, before the step."""
+    seen, share = first_seen(batch, n)
+    return seen, outputs.first(len(seen)), share
+
+
 @torch.no_grad()
-def measure_kl(policy: ActorCritic, probe: Tensor, before: Outputs) -> dict[str, Tensor]:
-    """KL divergence between the network before and after a step, on the observations `probe` [n, *obs], nat.
+def measure_kl(policy: ActorCritic, seen: Tensor, before: Outputs, share: Share = WHOLE) -> dict[str, Tensor]:
+    """KL divergence between the network before and after a step, on the observations `seen` [n, *obs], nat; collective.
 
     kl: KL(old || new) of the actions
     value_kl: the same for unit Gaussians around the normalised values
     before: outputs of the network before the step
+    share: this rank's in the observations
     """
-    after = forward(policy, probe)
-    return {
-        "kl": (before.log_probs.exp() * (before.log_probs - after.log_probs)).sum(-1).mean(),
-        "value_kl": half_square(after.value - before.value, policy.value_std),
+    after = forward(policy, seen)
+    measures = {
+        "kl": share.mean((before.log_probs.exp() * (before.log_probs - after.log_probs)).sum(-1)),
+        "value_kl": half_square(after.value - before.value, policy.value_std, share),
     }
+    share.add_up([*measures.values()])
+    return measures
 
 
-def half_square(error: Tensor, std: Tensor) -> Tensor:
-    """Mean of 1/2 (error / std)^2."""
-    return 0.5 * (error / std).square().mean()
+def half_square(error: Tensor, std: Tensor, share: Share) -> Tensor:
+    """This rank's part in the mean of 1/2 (error / std)^2."""
+    return 0.5 * share.mean((error / std).square())
 
 
 def minibatches(n: int, size: int, generator: Generator) -> Iterator[Tensor]:

@@ -15,6 +15,7 @@ import torch
 from negopipe import environment
 from negopipe.errors import UserError
 from negopipe.game.game import has_compiler
+from negopipe.runtime.ranks import n_local
 from negopipe.tracking.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def _choose() -> dict[str, Any]:
     return {
         "device": "cuda" if has_gpu else "cpu",
         "compile": "on" if has_gpu or has_compiler() else "off",
-        "n_threads": min(MAX_THREADS, _n_cores() or 1),
+        "n_threads": max(1, min(MAX_THREADS, (_n_cores() or 1) // n_local())),
     }
 
 
@@ -119,8 +120,11 @@ def _n_cores() -> int | None:
 def _warn_of_threads(n_threads: int) -> None:
     """Log a warning where threads must share cores. It is no error: a run may be resumed on a smaller machine."""
     n_cores = _n_cores()
-    if n_cores is not None and n_threads > n_cores:
-        rule = f"n_threads should be at most {n_cores}, the cores of this process, got {n_threads}"
+    if n_cores is not None and n_threads * n_local() > n_cores:
+        shared = f" shared by {n_local()} ranks" if n_local() > 1 else " of this process"
+        rule = (
+            f"n_threads should be at most {max(1, n_cores // n_local())}, with {n_cores} cores{shared}, got {n_threads}"
+        )
         log.warning(f"backend    {rule}: threads that wait for each other make training many times slower")
 
 

@@ -278,6 +278,9 @@ class TaskSampler:
         """Draw `n` tasks, on the generator's device."""
         return self._tasks(*self._random(n, self.generator))
 
+    def expect(self, n: int) -> None:
+        """Nothing to prepare: all worlds that draw from this stream are of one process."""
+
     def draw_for(self, worlds: Tensor) -> Task:
         """Draw the next tasks of `worlds` [n] int64 from the one stream of all worlds."""
         return self.draw(len(worlds))

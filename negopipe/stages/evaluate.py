@@ -48,7 +48,9 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     checkpoint = checkpoint_of(config, tracked)
     game, policy = build(config)
     load_weights(checkpoint, policy, config)
-    jobs = _jobs(config, game, policy)
+    jobs = jobs_of(
+        config, game, policy, {name: held_out_tasks(config, game, name) for name in config.evaluation.settings}
+    )
     names = list(jobs)
     n = n_processes(config.device, int(config.n_threads))
     if n > 1:
@@ -62,8 +64,8 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     table = pd.concat(tables, ignore_index=True)
     write_csv(tracked.folder / EPISODES_NAME, table, EPISODES)
     save_traces(tracked.folder / "traces.npz", list(traces))
-    summary = measures.summary(table)
-    results = summary | versus_adaptive(table) | regret(table)
+    results = results_of(table)
+    summary = {"evaluation": results["evaluation"]}
     tracked.update_metrics_json(results)
     tracked.log_artifact(tracked.folder / EPISODES_NAME)
     tracked.log_metrics(charts(summary), step=0)
@@ -73,12 +75,18 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
         log.info(line)
 
 
-def _jobs(config: "RunConfig", game: Game, policy: ActorCritic) -> dict[tuple[str, str], Callable[[], Driven | None]]:
-    """(setting, planner) -> evaluation of the planner in the setting."""
+def results_of(table: pd.DataFrame) -> dict[str, Any]:
+    """Parts of metrics.json, from the rows of episodes.csv."""
+    return measures.summary(table) | versus_adaptive(table) | regret(table)
+
+
+def jobs_of(
+    config: "RunConfig", game: Game, policy: ActorCritic, tasks_of: Mapping[str, Task]
+) -> dict[tuple[str, str], Callable[[], Driven | None]]:
+    """(setting, planner) -> evaluation of the planner in the setting, on the tasks of each setting in their order."""
     oracle = None if config.evaluation.oracle is None else read_oracle(config.evaluation.oracle)
     jobs: dict[tuple[str, str], Callable[[], Driven | None]] = {}
-    for setting in config.evaluation.settings:
-        tasks = held_out_tasks(config, game, setting)
+    for setting, tasks in tasks_of.items():
         for name in (ADAPTIVE, *config.evaluation.baselines):
             drive = partial(_drive, config, game, policy, tasks, (name, setting))
             jobs[setting, name] = partial(_measured, config, drive)

@@ -5,6 +5,7 @@ policy sees only the observations of a demonstration, as in its own episodes, an
 """
 
 import logging
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ from negopipe.runtime.progress import ProgressLine
 from negopipe.search.oracle import Rollouts, Sequences, best_simple, improve, simplify
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import Task
+from negopipe.tensors.ranks import ALONE, Ranks
 from negopipe.tensors.seeding import generator
 from negopipe.tensors.torch_settings import one_thread
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
@@ -33,22 +35,17 @@ DEMONSTRATIONS = CsvKind("the stage `train`", {"family": str, "reward": float, "
 """demonstrations.csv: a row per task."""
 
 
-def demonstrations(config: "RunConfig", game: Game, folder: Path | None) -> Demonstrations | None:
-    """Demonstrations of the curriculum; None where it has none.
+def demonstrations(config: "RunConfig", game: Game, folder: Path | None, ranks: Ranks = ALONE) -> Demonstrations | None:
+    """Demonstrations of the curriculum; None where it has none; collective.
 
-    folder: run folder that keeps the result; None = search anew
+    folder: run folder that keeps the result; None = search anew. The first rank searches for all
     """
     wanted = config.curriculum.demonstrations
     if wanted is None:
         return None
     tasks = demonstrated_tasks(config, wanted, game)
     path = None if folder is None else folder / DEMONSTRATIONS_NAME
-    if path is None or not path.is_file():
-        table = _search(config, wanted, game, tasks)
-        if path is not None:
-            write_csv(path, table, DEMONSTRATIONS)
-    else:
-        table = read_csv(path, DEMONSTRATIONS, DEMONSTRATIONS.columns)
+    table = ranks.first(partial(_found, config, wanted, game, tasks, path))
     texts = {name: table.loc[table["family"] == name, "horizons"].tolist() for name in tasks}
     seen = [_replay(config, game, drawn, texts[name]) for name, drawn in tasks.items()]
     observation, action = (torch.cat(parts) for parts in zip(*seen, strict=True))
@@ -66,6 +63,18 @@ def demonstrated_tasks(config: "RunConfig", wanted: DemonstrationsConfig, game: 
         )
         for name, family in families.items()
     }
+
+
+def _found(
+    config: "RunConfig", wanted: DemonstrationsConfig, game: Game, tasks: dict[str, Task], path: Path | None
+) -> pd.DataFrame:
+    """Table of the search result, from the file at `path` where there is one, else written there."""
+    if path is not None and path.is_file():
+        return read_csv(path, DEMONSTRATIONS, DEMONSTRATIONS.columns)
+    table = _search(config, wanted, game, tasks)
+    if path is not None:
+        write_csv(path, table, DEMONSTRATIONS)
+    return table
 
 
 @one_thread()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
+from negopipe.errors import UserError
 from negopipe.game.curriculum import Curriculum, CurriculumStageConfig
 from negopipe.game.environment import NegotiationEnv
 from negopipe.learning.learner import Learner
@@ -15,8 +16,9 @@ from negopipe.learning.rollout import Rollout, RunningEpisodes, collect
 from negopipe.runtime.build import build, device_of, game_of, load_weights, save_policy, with_learned
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.tensors.prefixes import add_prefix, strip_prefix
+from negopipe.tensors.ranks import ALONE, Ranks
 from negopipe.tensors.seeding import generator
-from negopipe.tensors.tree import named_tensors, with_tensors
+from negopipe.tensors.share import share_of
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME, find_checkpoint
 from negopipe.tracking.run_folder import DEMONSTRATIONS_NAME, HISTORY_NAME, TRAINING_EPISODES_NAME
 from negopipe.tracking.snapshots import Snapshots
@@ -24,6 +26,7 @@ from negopipe.training.demonstration_search import demonstrations
 from negopipe.training.league import League
 from negopipe.training.learning_curve import MEANS_OF_EPISODES, LearningCurve
 from negopipe.training.lost_shares import LostShares
+from negopipe.training.shared_worlds import SharedTasks, joined, own
 from negopipe.training.teacher import Teacher
 
 if TYPE_CHECKING:
@@ -37,18 +40,19 @@ class Training:
     """Algorithm 1, one iteration at a time; its state can be saved and restored between iterations.
 
     folder: run folder that keeps the demonstrations; None = search for them anew
+    ranks: processes that train together; each has a `Training` of its own, and its worlds are a share of all
     n_total, n_done: iterations of all stages together
     is_at_stage_end: whether the latest iteration was the last of its stage
     weights_before: the policy's weights before the latest iteration
     """
 
-    def __init__(self, config: "RunConfig", folder: Path | None = None) -> None:
-        device, algorithm = device_of(config), config.algorithm
+    def __init__(self, config: "RunConfig", folder: Path | None = None, ranks: Ranks = ALONE) -> None:
+        device, algorithm, self.ranks = device_of(config), config.algorithm, ranks
         self.curve = LearningCurve(algorithm.n_worlds * algorithm.n_steps)  # its clock starts now
         game, self.policy = build(config)
         if config.checkpoint is not None:
             load_weights(find_checkpoint(config.checkpoint, config), self.policy, config)
-        demonstrated = demonstrations(config, game, folder)
+        demonstrated = demonstrations(config, game, folder, ranks)
         self.learner = Learner(self.policy, algorithm, generator(config.seed, "updates", device), demonstrated)
         tasks, self.actions = (generator(config.seed, purpose, device) for purpose in ("training tasks", "actions"))
         self.n_steps = algorithm.n_steps
@@ -64,11 +68,13 @@ class Training:
         ]
         game = with_learned(game_of(config), config, self.policy, self.league.members)
         horizons_s, learners = config.policy.horizons_s, game.cast.learners
-        self.env = NegotiationEnv(game, config.reward, horizons_s, self._samplers[0], algorithm.n_worlds, learners)
+        first, end = ranks.slice_of(algorithm.n_worlds)
+        self._worlds = share_of(ranks, algorithm.n_worlds, device)
+        self.env = NegotiationEnv(game, config.reward, horizons_s, self._shared(0), end - first, learners)
         teacher = config.curriculum.teacher
         self._teacher = None if teacher is None else Teacher(config, game, self.env, teacher.checkpoint)
         self._taught_until = 0.0 if teacher is None else teacher.until
-        self.running = RunningEpisodes.start(algorithm.n_worlds, device)
+        self.running = RunningEpisodes.start(end - first, device)
         self.weights_before = _copy(self.policy)
         self.is_at_stage_end = False
 
@@ -81,24 +87,33 @@ class Training:
         return len(self.curve)
 
     def iterate(self) -> dict:
-        """One iteration of Algorithm 1; returns its row of the learning curve."""
+        """One iteration of Algorithm 1; returns its row of the learning curve; collective."""
         self.weights_before = _copy(self.policy)
+        waited_s = self.ranks.seconds
         stage, progress = self._select_task_distribution(), self.n_done / self.n_total
         label = self._teacher.label if self._teacher is not None and progress < self._taught_until else None
-        rollout, self.running = collect(self.env, self.policy, self.n_steps, self.actions, self.running, label)
+        given = (self.n_steps, self.actions, self.running, label, self._worlds)
+        rollout, self.running = collect(self.env, self.policy, *given)
         metrics = self.learner.update(rollout, progress)  # advantages, then the algorithm's updates
         is_success = rollout.is_success[rollout.is_over]
         self.league.lost.record(rollout.final_info["social_driver"], is_success)
         self._lost_streets.record(rollout.final_info["street"] - 1, is_success)
         self.league.admit(self.policy, self.n_done + 1)
+        if self.ranks.number > 1:
+            check_alike(self.policy, self.ranks)
+            metrics["collectives_s"] = self.ranks.seconds - waited_s
         return self._record(stage, rollout, metrics)
+
+    def _shared(self, index: int) -> TaskSampler | SharedTasks:
+        """Source of the tasks of a stage, for the worlds of this rank."""
+        return self._samplers[index] if self.ranks.number == 1 else SharedTasks(self._samplers[index], self.ranks)
 
     def _select_task_distribution(self) -> CurriculumStageConfig:
         """The current stage (K, D), from whose D every new episode draws its task."""
         stage = self.curriculum.stage
-        self.env.sampler = sampler = self._samplers[self.curriculum.index]
+        self.env.sampler = self._shared(self.curriculum.index)
         if self._hard_share > 0:
-            lost = self._lost_streets
+            lost, sampler = self._lost_streets, self._samplers[self.curriculum.index]
             sampler.street_weights = lost.weigh(torch.ones_like(lost.shares), self._hard_share)
         self.env.reward_config = self.curriculum.config.reward(stage, self._reward)
         return stage
@@ -116,37 +131,44 @@ class Training:
         names = [name for name, value in measures if isinstance(value, float) and not math.isfinite(value)]
         return names + [name for name, weight in self.policy.state_dict().items() if not weight.isfinite().all()]
 
-    def save_to(self, snapshots: Snapshots) -> None:
-        """Save the state on which the next iteration depends."""
+    def save_to(self, snapshots: Snapshots | None) -> None:
+        """Save the state on which the next iteration depends; collective.
+
+        The state is that of one process, so that any number of ranks can resume from it.
+        snapshots: None on other ranks than the first, which keeps them
+        """
         state = (
             add_prefix("policy", self.policy.state_dict())
             | add_prefix("learner", self.learner.state_dict())
-            | add_prefix("env", self.env.state_dict())
+            | joined(self.env.state_dict(), self.running, self._worlds)
             | add_prefix("league", self.league.state_dict())
             | {"lost_streets": self._lost_streets.shares}
-            | add_prefix("running", named_tensors(self.running))
             | add_prefix("episodes", self.curve.episodes)
             | {"actions": self.actions.get_state()}
         )
         progress = {"curve": self.curve.state_dict(), "curriculum": self.curriculum.state_dict()}
-        snapshots.save(self.n_done, state, progress)
+        if snapshots is not None:
+            snapshots.save(self.n_done, state, progress | {"n_ranks": self.ranks.number})
 
-    def resume(self, snapshots: Snapshots) -> None:
-        """Restore the newest snapshot, if there is one."""
-        newest = snapshots.newest()
+    def resume(self, snapshots: Snapshots | None) -> None:
+        """Restore the first rank's newest snapshot, if there is one; collective; snapshots: as for `save_to`."""
+        newest = self.ranks.first(lambda: None if snapshots is None else snapshots.newest())
         if newest is None:
             return
         state, progress = newest
         self.policy.load_state_dict(strip_prefix("policy", state))
         self.learner.load_state_dict(strip_prefix("learner", state))
-        self.env.load_state_dict(strip_prefix("env", state))
+        env, self.running = own(state, self.running, self._worlds)
+        self.env.load_state_dict(env)
         self.league.load_state_dict(strip_prefix("league", state))
         self._lost_streets.shares = state["lost_streets"].to(self.env.game.simulator.road.device)
-        self.running = with_tensors(self.running, strip_prefix("running", state))
         self.actions.set_state(state["actions"])
         self.curve.load_state_dict(progress["curve"], strip_prefix("episodes", state))
         self.curriculum.load_state_dict(progress["curriculum"])
         log.info(f"train      resuming after iteration {self.n_done} of {self.n_total}")
+        if (n := progress["n_ranks"]) != self.ranks.number:
+            what = "the same draws, but sums are rounded otherwise"
+            log.warning(f"ranks      {self.ranks.number} resume what {n} began: {what}")
 
 
 def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> None:
@@ -160,6 +182,14 @@ def save_stage(config: "RunConfig", run: "TrackedRun", training: Training) -> No
     save_policy(run.folder / CHECKPOINT_NAME, training.policy, config, row["decisions"])
     is_final = training.n_done == training.n_total
     run.log_checkpoint(run.folder / CHECKPOINT_NAME, row["decisions"], curve.scalars(row), is_final)
+
+
+def check_alike(policy: nn.Module, ranks: Ranks) -> None:
+    """UserError unless all ranks hold the same weights; collective."""
+    bits = [weight.detach().flatten().view(torch.int32).sum(dtype=torch.int64) for weight in policy.parameters()]
+    if len(set(ranks.each(int(torch.stack(bits).sum())))) > 1:
+        rule = "compute alike, on processors of one kind with the same libraries"
+        raise UserError(f"all {ranks.number} ranks must {rule}, got weights that differ between them")
 
 
 def _copy(policy: nn.Module) -> dict[str, Tensor]:
