@@ -13,9 +13,9 @@ from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.runtime.build import build, load_weights
 from negopipe.tracking.checkpoint import find_checkpoint
 
-AT_LEAST = {"yield": {"push": 0.995, "yield": 0.995}, "mixture": {"mixture": 0.97}, "generalist": {"mixture": 0.97}}
+AT_LEAST = {"yield": {"push": 0.995, "yield": 0.995}, "mixture": {"mixture": 0.97}, "generalist": {"mixture": 0.87}}
 """Success rates, by policy and setting."""
-COLLISIONS_AT_MOST = {"yield": 0.002, "mixture": 0.005, "generalist": 0.01}
+COLLISIONS_AT_MOST = {"yield": 0.002, "mixture": 0.005, "generalist": 0.03}
 
 
 def rates(experiment: str, setting: str, n_episodes: int) -> tuple[float, float]:
