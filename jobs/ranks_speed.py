@@ -9,7 +9,6 @@ several processes count, the time of an iteration on networks that it assumes (`
 """
 
 import argparse
-import csv
 import math
 import os
 import statistics
@@ -29,6 +28,7 @@ from negopipe.learning.kfac import Kfac
 from negopipe.runtime import backend
 from negopipe.runtime.ranks import connected
 from negopipe.tensors.ranks import ConnectedRanks, Ranks
+from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.training.training import Training
 
 SETTINGS = (
@@ -46,7 +46,12 @@ N_CALLS = 30
 """Timed calls of a collective."""
 ALL_REDUCE, ALL_GATHER = "_add_up", "_gather"
 """Names of the collectives of an iteration, those of `ConnectedRanks`."""
-COLUMNS = ("n_ranks", "what", "name", "bytes", "number", "median", "p90")
+MEASURED = CsvKind(
+    "jobs/ranks_speed.py measure",
+    {"n_ranks": int, "what": str, "name": str, "bytes": float, "number": float, "median": float, "p90": float},
+    "%.9g",
+)
+MODELLED = CsvKind("jobs/ranks_speed.py model", {"network": str, "scaling": str, "n_ranks": int, "*": float})
 
 
 class Network(NamedTuple):
@@ -139,18 +144,16 @@ def _timed_inversion() -> list[float]:
     return seconds
 
 
-def _spread(values: list[float]) -> tuple[str, str]:
+def _spread(values: list[float]) -> tuple[float, float]:
     """Median and 90th percentile."""
     p90 = sorted(values)[min(len(values) - 1, math.ceil(0.9 * len(values)) - 1)]
-    return f"{statistics.median(values):.6g}", f"{p90:.6g}"
+    return statistics.median(values), p90
 
 
 def append(path: Path, rows: list[tuple]) -> None:
-    """Add rows to a table, with its first line where it is new."""
-    is_new = not path.exists()
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerows([COLUMNS, *rows] if is_new else rows)
+    """Add rows to a table, which may not be there yet."""
+    new = pd.DataFrame(rows, columns=[*MEASURED.columns])
+    write_csv(path, pd.concat([read_csv(path, MEASURED), new]) if path.exists() else new, MEASURED)
 
 
 def all_reduce_s(n_bytes: float, n: int, network: Network) -> float:
@@ -219,7 +222,7 @@ def main() -> None:
     parser.add_argument("more", nargs="*", help="of measure: overrides; of model: the file of its rows")
     given = parser.parse_args()
     if given.what == "model":
-        pd.DataFrame(model(pd.read_csv(given.table))).to_csv(Path(given.more[0]), index=False, lineterminator="\n")
+        write_csv(Path(given.more[0]), pd.DataFrame(model(read_csv(given.table, MEASURED))), MODELLED)
         return
     config = load_config(*SETTINGS, *given.more)
     with connected(config) as ranks:

@@ -122,9 +122,10 @@ class Negotiator:
         """
         folder = Path(folder)
         manifest = read_manifest(folder)
+        decide = open_decision(folder, manifest, backend)
         has_street = STREET_NAME in manifest["files"]
         surround = Graph(folder / STREET_NAME) if has_street else _nothing_around
-        return Negotiator(Settings.of(manifest["config"]), open_decision(folder, manifest, backend), surround, seed)
+        return Negotiator(Settings.of(manifest["config"]), decide, surround, seed)
 
     def anew(self, length_m: float, width_m: float, seed: int) -> "Negotiator":
         """The negotiator of another drive, of a vehicle of that size; streets can be shared."""

@@ -3,7 +3,6 @@
 Its arguments come in the order of `package_inputs`, its results in that of `decision.outputs`.
 """
 
-import os
 import platform
 import shutil
 import warnings
@@ -16,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from negopipe.deployment.decision import STATES, Decision, last_inputs, needs
+from negopipe.environment import variable
 from negopipe.errors import UserError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def check_machine(processor: str) -> None:
     machine = platform.machine()
     if processor == "avx2" and machine not in ("x86_64", "AMD64"):
         raise UserError(f"export.processor must be native on a machine of {machine}, got {processor}")
-    if shutil.which(os.environ.get("CXX", "g++")) is None:
+    if shutil.which(variable("CXX") or "g++") is None:
         raise UserError("export.files must be without package where there is no C++ compiler, got package")
 
 

@@ -44,11 +44,11 @@ def run(config: "RunConfig", tracked: "TrackedRun", ranks: Ranks = ALONE) -> Non
                 _stop_at_last_good(config, tracked, training)
             progress.advance(training.curve.text(row))
             is_due = time.monotonic() - last_snapshot_s >= config.tracking.snapshot_period_s
-            is_stopped, is_due = ranks.any(interrupt(), is_due)
             with training.curve.tracking():
                 tracked.log_metrics(training.curve.scalars(row), step=row["decisions"])
                 if training.is_at_stage_end:
                     save_stage(config, tracked, training)
+                is_stopped, is_due = ranks.any(interrupt(), is_due)
                 if is_due or is_stopped:
                     tracked.sync()  # decisions before the snapshot are not logged again
                     training.save_to(snapshots)

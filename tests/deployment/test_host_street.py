@@ -92,7 +92,7 @@ def test_a_direction_is_one_of_two() -> None:
 
 
 def test_the_example_of_a_vehicle_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(Negotiator, "load", staticmethod(lambda folder: negotiator()))
+    monkeypatch.setattr(Negotiator, "load", staticmethod(lambda folder, backend="onnxruntime": negotiator()))
     main_of("vehicle")("export")
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 10
@@ -102,9 +102,9 @@ def test_the_example_of_a_vehicle_runs(monkeypatch: pytest.MonkeyPatch, capsys: 
 def test_the_command_of_speed_measures_decisions(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(Negotiator, "load", staticmethod(lambda folder: negotiator()))
+    monkeypatch.setattr(Negotiator, "load", staticmethod(lambda folder, backend="onnxruntime": negotiator()))
     monkeypatch.setattr(speed, "N_WARM_UP", 1)
-    monkeypatch.setattr(speed, "_import_s", lambda: 0.5)
+    monkeypatch.setattr(speed, "_import_s", lambda backend: 0.5)
     assert speed.main(["some/export", "--decisions", "3", "--table", str(tmp_path / "speed.csv")]) == 0
     printed = dict(line.split() for line in capsys.readouterr().out.splitlines())
     assert printed["n_decisions"] == "3"

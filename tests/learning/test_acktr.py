@@ -8,6 +8,7 @@ from torch import Generator, Tensor, nn
 from negopipe.learning.acktr import Acktr, inner, kl_backtracking, trust_region_step
 from negopipe.learning.learner import Learner
 from negopipe.learning.update import forward
+from negopipe.tensors.share import WHOLE
 
 
 def learner_and_acktr(*overrides: str) -> tuple[Learner, Acktr]:
@@ -82,7 +83,7 @@ def test_unusable_gradients_move_nothing(poison: str) -> None:
     if poison == "nan":
         gradient["policy_head.0"][0, 0] = torch.nan
     probe = torch.eye(7)
-    acktr._descend(gradient, 1.0, probe, forward(learner.policy, probe).first(7))
+    acktr._descend(gradient, 1.0, (probe, forward(learner.policy, probe).first(7), WHOLE))
     assert torch.equal(before, weights(learner.policy))
     assert acktr.n_skipped == 1
 

@@ -39,7 +39,7 @@ def test_more_threads_than_cores_are_warned_of(
     backend.resolve_auto(compose_config(["compile=off", f"n_threads={n_threads}"]), tmp_path)
     warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert len(warnings) == n_warnings
-    assert all("n_threads should be at most 2, the cores of this process, got 3: " in line for line in warnings)
+    assert all("n_threads should be at most 2, with 2 cores of this process, got 3: " in line for line in warnings)
 
 
 def test_auto_takes_no_more_threads_than_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
