@@ -153,6 +153,8 @@ def _spread(values: list[float]) -> tuple[float, float]:
 def append(path: Path, rows: list[tuple]) -> None:
     """Add rows to a table, which may not be there yet."""
     new = pd.DataFrame(rows, columns=[*MEASURED.columns])
+    numbers = [name for name, kind in MEASURED.columns.items() if kind is float]
+    new[numbers] = new[numbers].apply(pd.to_numeric)  # an empty text is NaN
     write_csv(path, pd.concat([read_csv(path, MEASURED), new]) if path.exists() else new, MEASURED)
 
 
