@@ -179,7 +179,8 @@ def _page(
     colors = planner_colors(list(overall), cases.fixed_s)
     n_cases = rows["case"].nunique()
     over: Table = table("Means over the cases, each case alike", OVERALL, overall, labels, colors)
-    note = f"{n_cases} cases, {rows['n_episodes'].min()} tasks each, the same for all planners"
+    n_tasks = " to ".join(map(str, sorted({rows["n_episodes"].min(), rows["n_episodes"].max()})))
+    note = f"{n_cases} cases, {n_tasks} tasks each, the same for all planners"
     figures = [
         FigureItem(*caption("cases", measure=MAPS[column][0]), render(case_map(rows, column, labels), "svg"))
         for column in MAPS
