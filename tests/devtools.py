@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import shutil
 import subprocess
 import time
 from collections.abc import Iterator
@@ -10,8 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from browser import BROWSER
-
+BROWSER = next(
+    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
+)
 FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--remote-debugging-pipe"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
@@ -116,7 +118,7 @@ class Browser:
 
     def _note(self, told: dict[str, Any]) -> None:
         """Keep what a page complains of."""
-        if told.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
+        if told.get("method") in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
             self._tabs[told["sessionId"]].said.append(json.dumps(told["params"])[:500])
 
 

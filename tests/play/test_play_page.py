@@ -11,8 +11,7 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import pytest
-from browser import BROWSER
-from devtools import Browser, Tab, browser
+from devtools import BROWSER, Browser, Tab, browser
 
 from negopipe.config.compose import compose_config
 from negopipe.evaluation.encounter import read_encounter

@@ -5,8 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
-from browser import BROWSER
-from devtools import browser
+from devtools import BROWSER, browser
 
 from negopipe.report.page import FigureItem, Provenance, Section, build_page
 

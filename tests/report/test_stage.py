@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from browser import BROWSER, in_browser
+from devtools import BROWSER
 from measured import FIXED_S
+from page_in_browser import measure_page
 from pydantic import TypeAdapter
 from tracked import RecordedRun
 
@@ -188,12 +189,12 @@ def test_any_planners_of_any_name_make_a_report(
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
 def test_a_browser_shows_it_all_without_errors_or_scrolling_sideways(run: RecordedRun) -> None:
     report.run(Config(animation_fps=1, side_by_side=("fixed_0",)), run)
-    for width_px in (360, 1280):
-        measured, log = in_browser(run.folder / "report.html", width_px)
+    widths_px = (360, 1280)
+    for width_px, measured in zip(widths_px, measure_page(run.folder / "report.html", widths_px), strict=True):
         assert measured["images"] > 8
         assert measured["broken"] == measured["overlaps"] == 0
         assert measured["shown"] <= measured["width"] <= width_px
-        assert "CONSOLE" not in log
+        assert measured["said"] == []
 
 
 def test_the_options_of_the_report_have_effects(run: RecordedRun) -> None:

@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from browser import BROWSER, in_browser
+from devtools import BROWSER
+from page_in_browser import measure_page
 from swept import make_run
 
 from negopipe.evaluation.hypothesis import Claim
@@ -145,11 +146,11 @@ def page(outputs: Path) -> Path:
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
 def test_a_browser_shows_it_without_scrolling_sideways(long_names: None, page: Path) -> None:
     """Long names of configs stand in two tables beside each other, or below each other where there is no room."""
-    for width_px in (360, 1100, 1280):
-        measured, log = in_browser(page, width_px)
+    widths_px = (360, 1100, 1280)
+    for width_px, measured in zip(widths_px, measure_page(page, widths_px), strict=True):
         assert measured["broken"] == measured["overlaps"] == 0
         assert measured["shown"] <= measured["width"] <= width_px
-        assert "CONSOLE" not in log
+        assert measured["said"] == []
 
 
 @pytest.fixture
