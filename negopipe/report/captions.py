@@ -51,6 +51,11 @@ CAPTIONS = {
         """Rows: cases, each of which lies outside every training in a respect that its file in conf/unseen states.
         Columns: planners. All planners of a row drive the same tasks.""",
     ),
+    "failure": (
+        "{case}, task {task}: {planners}",
+        """{outcome}: {cause}. The policy failed in {n_failed} of the {n_kept} tasks whose drives are kept:
+        {causes}.""",
+    ),
     "behaviour_index": (
         "Behaviour index",
         """Eq. 7. Above zero (prosocial) the social vehicle has travelled further since the start than the ego; below
@@ -105,6 +110,10 @@ WATCH = (
     "if there is no success). The median one is shown side by side with other planners on the same task; that of the "
     "first setting opens the page. Evenly spaced ranks and the episode of the lowest return are shown alone. Any other "
     "episode is animated by stages=[replay] episode=<setting>/<planner>/<number>."
+)
+FAILED = (
+    "Of every case with a failure: a task that the policy failed by the most frequent cause of the case, beside the "
+    "same task under the rule-based planner. unseen_failures.csv counts the causes of every planner."
 )
 NOT_TRAINED = "The policy was not trained in this run, so there is no history.csv. The config names its checkpoint."
 

@@ -16,21 +16,23 @@ from negopipe.errors import UserError
 from negopipe.evaluation import measures
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.statistics import mean_difference
-from negopipe.evaluation.trace import ADAPTIVE
-from negopipe.report.captions import caption
+from negopipe.evaluation.trace import ADAPTIVE, load_traces
+from negopipe.report.captions import FAILED, caption
 from negopipe.report.case_figures import MAPS, case_map
 from negopipe.report.figures import render
 from negopipe.report.labels import planner_label
-from negopipe.report.page import Chapter, FigureItem, Section, build_page
+from negopipe.report.page import Chapter, FigureItem, Provenance, Section, build_page
 from negopipe.report.style import planner_colors
 from negopipe.report.tables import Column, Table, table
 from negopipe.sweeping.comparison_page import provenance
+from negopipe.sweeping.failures import FAILURES, Drives, failure_films, failure_table
 from negopipe.sweeping.swept_runs import SweptRun, find_folders, read_runs
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.tracking.whole_file import write_whole
 
 COMMAND = "python -m negopipe.sweeping.unseen"
 SUITE = "unseen-v1"
+TRACES_NAME = "traces.npz"
 REFERENCE = "cautious"
 """Planner that all others are compared with, task by task."""
 RANDOM_SEED = 0
@@ -80,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def write_results(outputs: Path, command: str) -> None:
-    """Write unseen.csv and unseen.html into the outputs folder and print the table over all cases."""
+    """Write unseen.csv, unseen_failures.csv and unseen.html into the outputs folder, print the means over the cases."""
     runs = [run for run in read_runs(find_folders([outputs / f"{SUITE}.*"])) if run.holds(EPISODES_NAME)]
     if not runs:
         raise UserError(f"the folder must hold evaluated runs of +experiment=unseen, got {outputs}")
@@ -88,7 +90,12 @@ def write_results(outputs: Path, command: str) -> None:
     rows = case_table(cases.episodes)
     write_csv(outputs / "unseen.csv", rows, ROWS)
     overall = over_cases(rows)
-    page = _page(cases, rows, overall, runs, command)
+    drives = read_drives(runs)
+    failed = failure_table(drives)
+    write_csv(outputs / "unseen_failures.csv", failed, FAILURES)
+    print("films      of a failure per case")
+    films = failure_films(drives, failed, REFERENCE, cases.fixed_s)
+    page = _page(cases, rows, overall, films, provenance(runs, command))
     write_whole(outputs / "unseen.html", page.encode())
     for name, values in overall.items():
         figures = f"success {values['success_rate']:7.2%}  collision {values['collision_rate']:6.2%}"
@@ -98,20 +105,40 @@ def write_results(outputs: Path, command: str) -> None:
 
 def read_cases(runs: Sequence[SweptRun]) -> Cases:
     """The episodes of all runs; of a baseline that several runs of a case drove, those of the first one."""
-    checkpoints = list(dict.fromkeys(str(run.config["checkpoint"]) for run in runs))
-    own = {each: ADAPTIVE if len(checkpoints) == 1 else f"{ADAPTIVE}_{i}" for i, each in enumerate(checkpoints, 1)}
     parts, seen = [], set()
     fixed_s: dict[str, float] = {}
-    for run in runs:
-        case = str(run.config["name"]).removeprefix(f"{SUITE}.")
-        episodes = read_csv(run.folder / EPISODES_NAME, EPISODES)
-        episodes = episodes.replace({"planner": {ADAPTIVE: own[str(run.config["checkpoint"])]}})
+    for run, own in _with_policies(runs):
+        case = _case(run)
+        episodes = read_csv(run.folder / EPISODES_NAME, EPISODES).replace({"planner": {ADAPTIVE: own}})
         for planner, rows in episodes.groupby("planner", sort=False):
             if (case, planner) not in seen:
                 seen.add((case, planner))
                 parts.append(rows.assign(case=case))
         fixed_s |= _fixed(run.config)
     return Cases(pd.concat(parts, ignore_index=True), fixed_s)
+
+
+def read_drives(runs: Sequence[SweptRun]) -> list[Drives]:
+    """The drives that the runs have kept, under the names of `read_cases`."""
+    found, seen = [], set()
+    for run, own in _with_policies(runs):
+        if run.holds(TRACES_NAME):
+            traces = {own if t.planner == ADAPTIVE else t.planner: t for t in load_traces(run.folder / TRACES_NAME)}
+            new = {planner: trace for planner, trace in traces.items() if (_case(run), planner) not in seen}
+            seen |= {(_case(run), planner) for planner in new}
+            found.append(Drives(_case(run), run.folder, new))
+    return found
+
+
+def _case(run: SweptRun) -> str:
+    return str(run.config["name"]).removeprefix(f"{SUITE}.")
+
+
+def _with_policies(runs: Sequence[SweptRun]) -> list[tuple[SweptRun, str]]:
+    """Every run with the name of its policy, which has a number where the runs have several checkpoints."""
+    checkpoints = list(dict.fromkeys(str(run.config["checkpoint"]) for run in runs))
+    own = {each: ADAPTIVE if len(checkpoints) == 1 else f"{ADAPTIVE}_{i}" for i, each in enumerate(checkpoints, 1)}
+    return [(run, own[str(run.config["checkpoint"])]) for run in runs]
 
 
 def _fixed(config: Mapping[str, Any]) -> dict[str, float]:
@@ -173,7 +200,11 @@ def over_cases(rows: pd.DataFrame) -> dict[str, dict[str, float]]:
 
 
 def _page(
-    cases: Cases, rows: pd.DataFrame, overall: Mapping[str, Mapping[str, float]], runs: Sequence[SweptRun], command: str
+    cases: Cases,
+    rows: pd.DataFrame,
+    overall: Mapping[str, Mapping[str, float]],
+    films: Sequence[FigureItem],
+    origin: Provenance,
 ) -> str:
     labels = {planner: planner_label(planner, cases.fixed_s) for planner in overall}
     colors = planner_colors(list(overall), cases.fixed_s)
@@ -186,8 +217,8 @@ def _page(
         for column in MAPS
     ]
     verdicts = [_verdict(name, overall[name], labels[name]) for name in overall if name.startswith(ADAPTIVE)]
-    sections = [Section("Every case", "", figures)]
-    return build_page(SUITE, verdicts, [Chapter("All cases", note, [over])], [], sections, provenance(runs, command))
+    sections = [Section("Every case", "", figures), *([Section("How it fails", FAILED, films)] if films else [])]
+    return build_page(SUITE, verdicts, [Chapter("All cases", note, [over])], [], sections, origin)
 
 
 def _verdict(name: str, values: Mapping[str, float], label: str) -> tuple[str, str]:

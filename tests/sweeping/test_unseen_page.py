@@ -1,11 +1,16 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from hand_driven import drive
 
+from negopipe.config.root import RunConfig, as_mapping
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
+from negopipe.evaluation.trace import save_traces
 from negopipe.sweeping import unseen
 from negopipe.tracking.csv_file import write_csv
 from negopipe.tracking.record import RunRecord, write_record
@@ -72,6 +77,27 @@ def test_the_means_count_every_case_alike(outputs: Path, capsys: pytest.CaptureF
     assert "adaptive: 87.5% success and 12.50% collisions on the mean." in page
     assert "at least 75.0% success and at most 25.0% collisions" in page
     assert page.count("<svg") + page.count("image/svg+xml") == 2
+
+
+def test_failures_are_counted_by_cause_and_one_of_a_case_is_filmed(outputs: Path, config: RunConfig) -> None:
+    (folder,) = (outputs / "unseen-v1.bus").iterdir()
+    written = yaml.safe_load((folder / "config.yaml").read_text())
+    written |= {name: as_mapping(config)[name] for name in ("scenario", "planner")}
+    (folder / "config.yaml").write_text(yaml.safe_dump(written))
+    ways, still = (0.0, np.pi), (0.0, 0.0)
+    policy = drive("collision", (0.0, 3.9), (2.0, 0.0), ways)
+    rule = replace(drive("deadlock", (0.0, 4.5), still, ways), planner="cautious")
+    save_traces(folder / "traces.npz", [policy, rule])
+    assert unseen.main([str(outputs)]) == 0
+    failed = pd.read_csv(outputs / "unseen_failures.csv").set_index("planner")
+    assert failed["n_tasks"].to_dict() == {"adaptive": 1, "cautious": 1}
+    assert failed["cause"].to_dict() == {
+        "adaptive": "the ego drove into an oncoming vehicle at rest",
+        "cautious": "nose to nose at rest",
+    }
+    page = (outputs / "unseen.html").read_text(encoding="utf-8")
+    assert page.count("data:image/gif") == 1
+    assert "failed in 1 of the 1 tasks whose drives are kept: 1 x the ego drove into an oncoming vehicle" in page
 
 
 def test_several_checkpoints_are_told_apart_and_baselines_count_once(outputs: Path) -> None:
