@@ -30,7 +30,8 @@ def main(picture: str) -> NDArray[np.float32]:
     plans = plans_of(planner, oncoming_m=18.0)
     figure, axes = plt.subplots(figsize=(6.0, 3.5), layout="constrained")
     for horizon, x in zip(HORIZONS_S, plans.states.position[..., 0].numpy(), strict=True):
-        axes.plot(planner.times.numpy(), x, label=f"prediction horizon of {horizon:g} s")
+        width = 8 - horizon  # plans that coincide show as lines within lines
+        axes.plot(planner.times.numpy(), x, linewidth=width, label=f"prediction horizon of {horizon:g} s")
     axes.axhspan(-6.0, 6.0, color="0.9")  # the corridor
     axes.set(xlabel="time (s)", ylabel="place along the street (m)")
     axes.legend()

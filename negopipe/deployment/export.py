@@ -39,6 +39,7 @@ from negopipe.deployment.decision_file import (
     write_street,
 )
 from negopipe.deployment.driven import drive_held_out
+from negopipe.deployment.extras import EXTRAS, need
 from negopipe.deployment.manifest import (
     DECISION_NAME,
     MANIFEST_NAME,
@@ -50,7 +51,6 @@ from negopipe.deployment.manifest import (
     file_hash,
     manifest_text,
 )
-from negopipe.deployment.onnx_file import NEEDED, need_packages
 from negopipe.deployment.package_file import check_machine, decision_selftest, package_inputs, write_package
 from negopipe.deployment.policy_file import exported, selftest, write_policy
 from negopipe.errors import UserError
@@ -94,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 @one_thread()
 def export(config: "RunConfig", checkpoint: Path, folder: Path) -> list[Path]:
     """Write the files of `config.export.files`; returns all paths. UserError where the checkpoint does not fit."""
-    need_packages()
+    need("export")
     if "package" in config.export.files:
         check_machine(config.export.processor)
     policy = exported(load_policy(checkpoint, config))
@@ -168,7 +168,8 @@ def _content(config: "RunConfig", folder: Path) -> dict[str, Any]:
     values = as_mapping(config)
     observation = config.observation
     return {
-        "versions": {name: version(name) for name in ("negopipe", "torch", *NEEDED)} | {"opset": config.export.opset},
+        "versions": {name: version(name) for name in ("negopipe", "torch", *EXTRAS["export"])}
+        | {"opset": config.export.opset},
         "source": source_hash(),
         "checkpoint": {
             "sha256": file_hash(folder / CHECKPOINT_NAME),

@@ -1,6 +1,5 @@
 """ONNX files, written from a torch module."""
 
-import importlib.util
 import logging
 import warnings
 from collections.abc import Mapping, Sequence
@@ -12,18 +11,7 @@ from torch import nn
 from torch.utils._pytree import tree_map
 
 from negopipe.deployment.fast_onnx import faster
-from negopipe.errors import UserError
 from negopipe.tracking.whole_file import write_whole
-
-NEEDED = ("onnx", "onnxscript", "onnxruntime")
-"""Packages of the extra `export`."""
-
-
-def need_packages() -> None:
-    """UserError where a package of the extra is missing."""
-    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
-    if missing:
-        raise UserError(f"an export needs {', '.join(NEEDED)} (pip install 'negopipe[export]'), got no {missing[0]}")
 
 
 def write_onnx(

@@ -11,8 +11,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from negopipe.deployment.extras import need
 from negopipe.deployment.manifest import MANIFEST_NAME, file_hash
-from negopipe.deployment.middleware.packages import need_packages
 from negopipe.deployment.negotiator import Negotiator
 from negopipe.errors import UserError
 
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _replay(recording: Path, folder: Path) -> int:
-    need_packages()
+    need("middleware")
     from negopipe.deployment.middleware.again import replay, seed_of
     from negopipe.deployment.middleware.recording import about
 

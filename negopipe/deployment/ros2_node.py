@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
+from negopipe.deployment.extras import need
 from negopipe.deployment.manifest import MANIFEST_NAME, file_hash
 from negopipe.deployment.middleware.interface import INPUTS, OUTPUTS, TOPICS
-from negopipe.deployment.middleware.packages import need_packages
 from negopipe.deployment.middleware.vehicle import Vehicle
 from negopipe.deployment.negotiator import Negotiator
 from negopipe.errors import UserError
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(arguments)
     logging.basicConfig(format="%(message)s", level=logging.INFO)
     try:
-        need_packages()
+        need("middleware")
         vehicle = Vehicle(given.wheel_base, given.front_overhang, given.rear_overhang)
         negotiator = Negotiator.load(given.folder, given.seed)
         check_length(vehicle, negotiator)

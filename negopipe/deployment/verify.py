@@ -20,8 +20,8 @@ from torch import Tensor
 
 from negopipe.config.root import load
 from negopipe.deployment.driven import drive_held_out
+from negopipe.deployment.extras import need
 from negopipe.deployment.manifest import POLICY_NAME, read_manifest
-from negopipe.deployment.onnx_file import need_packages
 from negopipe.deployment.onnx_session import open_onnx
 from negopipe.deployment.parity_table import put_row
 from negopipe.deployment.policy_file import INPUT
@@ -98,7 +98,7 @@ def add_row(path: Path, name: str, parity: Parity) -> None:
 @own_settings()
 def verify(folder: Path, n_decisions: int | None) -> Parity:
     """Compare policy.onnx with the checkpoint beside it; None = as many decisions as the export's config says."""
-    need_packages()
+    need("export")
     manifest = read_manifest(folder)
     config = config_of(manifest)
     policy = load_policy(folder / CHECKPOINT_NAME, config)

@@ -19,8 +19,8 @@ import torch
 
 from negopipe.deployment.decision_file import StreetInputs, arguments_of, expected
 from negopipe.deployment.driven import drive_held_out
+from negopipe.deployment.extras import need
 from negopipe.deployment.manifest import read_manifest
-from negopipe.deployment.onnx_file import need_packages
 from negopipe.deployment.open_decision import FILES, Backend, open_decision
 from negopipe.deployment.parity_table import put_row, row_name
 from negopipe.deployment.policy_file import exported
@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 @own_settings()
 def verify_decision(folder: Path, n_decisions: int, backend: Backend = "onnxruntime") -> DecisionParity:
     """Compare the decision with the game of the export's config; the weights are those of the folder."""
-    need_packages()
+    need("export")
     manifest = read_manifest(folder)
     config, session = config_of(manifest), open_decision(folder, manifest, backend)
     policy = exported(load_policy(folder / CHECKPOINT_NAME, config))

@@ -105,7 +105,7 @@ def test_a_row_takes_the_place_of_the_same_export(tmp_path: Path) -> None:
     "given",
     [
         ("pretrained/yield", "+experiment=yield"),
-        ("pretrained/generalist", "+experiment=generalist", "safety=rss", "export.capacity.n_others=2"),  # draws
+        ("pretrained/generalist", "+experiment=generalist", "safety=rss", "export.capacity.n_others=4"),  # draws
     ],
     ids=lambda given: given[0].removeprefix("pretrained/"),
 )

@@ -12,9 +12,8 @@ from ros_drives import LOOPBACK, VEHICLE
 from runtime_drives import straight_on
 
 from negopipe.config.root import as_mapping
-from negopipe.deployment import Negotiator, ros2_node
+from negopipe.deployment import Negotiator, extras, ros2_node
 from negopipe.deployment.manifest import MANIFEST_NAME, manifest_text
-from negopipe.deployment.middleware import packages
 from negopipe.deployment.middleware.recording import about
 from negopipe.deployment.middleware.vehicle import Vehicle
 from negopipe.deployment.settings import Settings
@@ -85,6 +84,6 @@ def test_topics_get_other_names() -> None:
 
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(packages, "NEEDED", ("rosbags", "no_such_package"))
+    monkeypatch.setitem(extras.EXTRAS, "middleware", ("json", "no_such_package"))
     with pytest.raises(UserError, match="got no no_such_package"):
-        packages.need_packages()
+        extras.need("middleware")
