@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from negopipe.config.root import as_mapping
 from negopipe.runtime.build import device_of
 from negopipe.runtime.network_passes import iteration_passes
-from negopipe.tensors.timing import block_seconds
+from negopipe.tensors.timing import Stopwatch, block_seconds
 from negopipe.tracking.run_folder import SNAPSHOTS_NAME
 from negopipe.tracking.snapshots import Snapshots
 from negopipe.tracking.store import TrackedRun, open_run
@@ -27,26 +27,34 @@ def measure_training(config: "RunConfig", place: Path) -> dict[str, float]:
     train.decisions_per_s: speed of the iterations without tracking
     train.iteration_efficiency: share of an iteration's time, its entry in the run's journal included, that bare passes
         of the same network over its decisions take: one forward, and one forward and backward per epoch
+    train.environment_share, train.update_share: shares of the iterations in which the environment steps (planners,
+        drivers, simulator, observations) and in which the learner updates the network
     train.tracking_share: share of a whole training's time that the store, snapshots and checkpoints take
     """
     training = Training(config)
     training.iterate()
+    device = device_of(config)
+    parts = {
+        "train.environment_share": Stopwatch(training.env, "step", device),
+        "train.update_share": Stopwatch(training.learner, "update", device),
+    }
     with (
         tempfile.TemporaryDirectory(dir=place) as outputs,
         open_run(replace(config, outputs=outputs), "training", as_mapping(config)) as run,
     ):
         run.begin()
-        iteration_s, efficiency, record_s = _measure(config, training, run)
+        iteration_s, in_all_s, efficiency, record_s = _measure(config, training, run)
     training_s = training.n_total * iteration_s
     return {
         "train.decisions_per_s": training.curve.n_per_iteration / iteration_s,
         "train.iteration_efficiency": efficiency,
         "train.tracking_share": record_s / (training_s + record_s),
-    }
+    } | {name: watch.seconds / in_all_s for name, watch in parts.items()}
 
 
-def _measure(config: "RunConfig", training: Training, run: TrackedRun) -> tuple[float, float, float]:
-    """Duration of an iteration (s), share of it that bare passes take, duration of all tracking in a training (s).
+def _measure(config: "RunConfig", training: Training, run: TrackedRun) -> tuple[float, float, float, float]:
+    """Duration of an iteration and of all that were made (s), share of an iteration that bare passes take, duration of
+    all tracking in a training (s).
 
     Iterations and bare passes alternate, so that a slow moment of the machine affects both.
     """
@@ -70,7 +78,7 @@ def _measure(config: "RunConfig", training: Training, run: TrackedRun) -> tuple[
         + n_snapshots * (_seconds(run.sync) + _seconds(lambda: training.save_to(snapshots)))
         + len(config.curriculum.stages) * _seconds(lambda: save_stage(config, run, training))
     )
-    return iteration_s, median(shares), record_s
+    return iteration_s, sum(iterations), median(shares), record_s
 
 
 def _note(training: Training, run: TrackedRun) -> None:

@@ -59,6 +59,8 @@ SHARED = {
     "train.decisions_per_s",
     "train.iteration_efficiency",
     "train.tracking_share",
+    "train.environment_share",
+    "train.update_share",
 }
 
 
@@ -97,6 +99,7 @@ def test_all_figures_are_written_under_their_names(
     assert all(re.fullmatch(r"(reference|limit|train|eager\.\d+)\.[a-z0-9_]+", name) for name in figures)
     assert figures["eager.1.decision_latency_ms_p50"] <= figures["eager.1.decision_latency_ms_p99"]
     assert figures["train.tracking_share"] < 1
+    assert 0.5 < figures["train.environment_share"] + figures["train.update_share"] < 1
     assert figures["train.iteration_efficiency"] < 1.5
     assert run.artifacts == [("benchmark.json", "")]
     assert run.metrics["benchmark/eager/4/decisions_per_s"] == figures["eager.4.decisions_per_s"]
