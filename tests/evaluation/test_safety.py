@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from hand_driven import in_a_line
 
 from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.safety import avoidable_by, box_distance, footprints, smallest_gap
@@ -41,32 +42,8 @@ def test_distance_of_hand_placed_rectangles(x: float, y: float, yaw: float, dist
 
 def make_trace(social_x_m: list[list[float]]) -> Trace:
     """One episode; the ego stands at the origin, the social vehicles [T+1, V-1] ahead of it, turned around."""
-    x = np.pad(np.float32(social_x_m), ((0, 0), (1, 0)))[:, None]
-    n, _, n_vehicles = x.shape
-    facing = np.float32([0.0, *[np.pi] * (n_vehicles - 1)])
-    return Trace(
-        planner="fixed_0",
-        setting="push",
-        dt_s=0.2,
-        street=np.ones(1, dtype=np.int64),
-        corridor_m=np.full(1, 12.0, dtype=np.float32),
-        start_distance_m=np.zeros((1, n_vehicles)),
-        style_horizon_s=np.zeros((1, n_vehicles)),
-        length_m=np.full((1, n_vehicles), 4.0, dtype=np.float32),
-        width_m=np.full((1, n_vehicles), 2.0, dtype=np.float32),
-        driver=np.full((1, n_vehicles), "planner"),
-        position_m=np.stack([x, np.zeros_like(x)], -1),
-        yaw_rad=np.broadcast_to(facing, x.shape).copy(),
-        speed_mps=np.zeros_like(x),
-        progress_m=x,
-        horizon_s=np.zeros((n - 1, 1, n_vehicles)),
-        is_full_braking=np.zeros((n - 1, 1, n_vehicles), dtype=bool),
-        intervention=np.zeros((n - 1, 1), dtype=np.int8),
-        reward=np.zeros((n - 1, 1)),
-        n_steps=np.array([n - 1]),
-        reached_step=np.full((1, n_vehicles), -1),
-        outcome=np.array([3]),
-    )
+    x = np.pad(np.float32(social_x_m), ((0, 0), (1, 0)))
+    return in_a_line(x, yaw=(0.0, *[np.pi] * (x.shape[1] - 1)))
 
 
 @pytest.mark.parametrize(
