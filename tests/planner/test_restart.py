@@ -1,11 +1,13 @@
 """Who stopped can drive on: what was drivable from afar stays so from near, small errors of tracking included."""
 
+import pytest
 import torch
 from games import place
 
 from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import build_game
+from negopipe.planner.street_planner import StreetPlanner
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import TaskSampler
 from negopipe.simulation.state import EGO
@@ -43,3 +45,18 @@ def test_a_car_at_rest_beside_the_kerb_with_its_wheels_turned_drives_on() -> Non
         world, _ = game.simulator.step(world, motion.state)
     assert float(world.vehicles.speed[0, EGO]) > 2
     assert not world.has_collided[0, EGO]
+
+
+@pytest.mark.parametrize(("planner", "starts_again"), [("reversing", False), ("close_passing", True)])
+def test_a_car_at_rest_on_its_route_enters_a_corridor_that_leaves_it_a_third_of_a_metre(
+    planner: str, starts_again: bool
+) -> None:
+    """The route itself comes 0.19 m near to the last car, which `reversing` takes for too near from 4 m ahead on."""
+    street = StreetPlanner.of("narrow_lane", planner, road={"corridor_gap_m": 2.46})
+    s = torch.tensor([-8.0, -7.5, -7.0])  # the corridor's mouth is 0
+    rest = RouteState(s, s * 0, s * 0, *street.road.route_offset(s, torch.ones(3)))
+    at = street.road.to_world(rest, torch.ones(3))
+    vehicles = torch.stack([*at.position.unbind(-1), at.yaw, at.speed, at.accel, at.curvature], -1)
+    plans = street.plan(vehicles, None, horizon_s=0.0, desired_speed_mps=6.0)
+    assert (plans.states.position[:, -1, 0] > -2).tolist() == [starts_again] * 3
+    assert not plans.is_full_braking.any()
