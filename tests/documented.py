@@ -98,8 +98,8 @@ def unsupported(table: Results) -> list[str]:
 
     They do if all numbers of the cell stand in one raw row, or if the cell is `a to b` and these are the smallest and
     the largest value of a raw column. A number stands for a value, or for a hundred times a value, that rounds to it.
-    Raw rows are those of the planner or algorithm that the row names (`fixed 2 s` is `fixed_2`, `policy` is `adaptive`)
-    and of the setting that the column's head begins with, where the raw table has such rows.
+    Raw rows are those of the planner, algorithm or case that the row names (`fixed 2 s` is `fixed_2`, `policy` is
+    `adaptive`) and of the setting that the column's head begins with, where the raw table has such rows.
     """
     return [
         f"{row[0]}: {head} {cell}"
@@ -128,6 +128,8 @@ def _rows_of(raw: pd.DataFrame, label: str, head: str) -> pd.DataFrame:
     for column in {"planner", "algorithm"} & set(raw.columns):
         known = raw[column].unique()
         raw = _those(raw, column, [slug] if slug in known else [name for name in known if slug.startswith(name)])
+    if "case" in raw:
+        raw = _those(raw, "case", [label.strip("`")])
     if "setting" in raw:
         raw = _those(raw, "setting", re.findall(r"^\w+(?=:)", head))
     return _those(raw, "seed", [int(seed) for seed in re.findall(r"seed (\d+)", label)]) if "seed" in raw else raw

@@ -45,6 +45,9 @@ FIGURES = (
 """Measures of a planner in a case, in the order of the table."""
 ROWS = CsvKind(COMMAND, {"case": str, "planner": str, "n_episodes": int, "*": float}, "%.5g")
 """unseen.csv."""
+MEANS = ("success_rate", "collision_rate", "deadlock_rate", "driving_time_s", "time_s_vs_cautious", "solved_by_any")
+OF_ALL = CsvKind(COMMAND, {"planner": str, "n_cases": int, "*": float}, "%.5g")
+"""unseen_means.csv: means over the cases, each case alike."""
 OVERALL = (
     Column("success [%]", "success_rate", 100, 1, "max"),
     Column("least of a case [%]", "least_success", 100, 1, "max"),
@@ -82,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def write_results(outputs: Path, command: str) -> None:
-    """Write unseen.csv, unseen_failures.csv and unseen.html into the outputs folder, print the means over the cases."""
+    """Write the tables and unseen.html into the outputs folder, and print the means over the cases."""
     runs = [run for run in read_runs(find_folders([outputs / f"{SUITE}.*"])) if run.holds(EPISODES_NAME)]
     if not runs:
         raise UserError(f"the folder must hold evaluated runs of +experiment=unseen, got {outputs}")
@@ -90,6 +93,8 @@ def write_results(outputs: Path, command: str) -> None:
     rows = case_table(cases.episodes)
     write_csv(outputs / "unseen.csv", rows, ROWS)
     overall = over_cases(rows)
+    means = pd.DataFrame([{"planner": planner} | values for planner, values in overall.items()])
+    write_csv(outputs / "unseen_means.csv", means, OF_ALL)
     drives = read_drives(runs)
     failed = failure_table(drives)
     write_csv(outputs / "unseen_failures.csv", failed, FAILURES)
@@ -189,7 +194,7 @@ def _versus(outcomes: pd.DataFrame, times: pd.DataFrame, planner: str, rng: np.r
 def over_cases(rows: pd.DataFrame) -> dict[str, dict[str, float]]:
     """Planner -> means over its cases, each case alike, and its worst case."""
     return {
-        str(planner): own[["success_rate", "collision_rate", "deadlock_rate", "driving_time_s"]].mean().to_dict()
+        str(planner): own[[name for name in MEANS if name in own]].mean().to_dict()
         | {
             "least_success": own["success_rate"].min(),
             "most_collisions": own["collision_rate"].max(),

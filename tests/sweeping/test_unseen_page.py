@@ -76,6 +76,8 @@ def test_the_means_count_every_case_alike(outputs: Path, capsys: pytest.CaptureF
     page = (outputs / "unseen.html").read_text(encoding="utf-8")
     assert "adaptive: 87.5% success and 12.50% collisions on the mean." in page
     assert "at least 75.0% success and at most 25.0% collisions" in page
+    means = pd.read_csv(outputs / "unseen_means.csv").set_index("planner")
+    assert means.loc["adaptive", ["n_cases", "success_rate", "collision_rate"]].tolist() == [2, 0.875, 0.125]
     assert page.count("<svg") + page.count("image/svg+xml") == 2
 
 
