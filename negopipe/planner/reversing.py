@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from negopipe.planner.lateral import path_shape
+from negopipe.planner.making_room import way_for_those_ahead
 from negopipe.planner.polynomial import evaluate, quintic
 from negopipe.planner.roadside import Roadside
 from negopipe.planner.situation import Others, Situation
@@ -26,6 +27,10 @@ STILL_MPS = 1e-3
 """Speed below which a planned vehicle is at rest, m/s."""
 CREEPING_MPS = 0.1
 """Speed backwards from which on a vehicle is seen to reverse, m/s."""
+SPARE_M = 0.5
+"""More room than the vehicle ahead needs, m, so that it sets off before the one behind has stopped."""
+WAITING_M = 1.0
+"""Who has made room, and so much more at most, stays there until the vehicle ahead has used it, m."""
 
 
 @schema
@@ -38,6 +43,7 @@ class ReversingConfig:
     beyond_m: distance behind the last place where the other can pass at which the way ends, so that it has more room
     return_m: distance over which the path leads back to the route
     behind_m: room to a vehicle behind at the end of the way
+    makes_room: whether a vehicle also drives back so that the one ahead of it can (`negopipe.planner.making_room`)
     """
 
     least_horizon_s: NonNegativeFloat
@@ -47,6 +53,7 @@ class ReversingConfig:
     beyond_m: NonNegativeMetres
     return_m: PositiveMetres
     behind_m: NonNegativeMetres
+    makes_room: bool
 
 
 class Reversing:
@@ -59,24 +66,36 @@ class Reversing:
         self.config, self.road, self.passage = config, collisions.road, passage
         self._collisions, self._dt_s = collisions, collisions.dt_s
         clearance_m, self._curvature_max, step_m = limits
+        self._halting_m = config.speed_mps * self._dt_s + config.speed_mps**2 / (2 * config.accel_mps2)
         device = collisions.road.device
         self._behind = torch.arange(0.0, config.length_m + step_m, step_m, device=device)[:, None]  # [S, 1] m
         self._roadside = Roadside(self.road, passage.sizes, torch.full_like(self._behind[:, 0], clearance_m))
         self._from_state = quintic(config.return_m)[:, :3].to(device, torch.float32)
 
     def plan(self, now: Situation, ahead: RouteState) -> tuple[Tensor, RouteState]:
-        """Who drives backwards or stops doing so [N] bool, and its state one step later; fields [N].
+        """Who drives backwards, stops doing so, or waits for one that does [N] bool; its state one step later [N].
 
         ahead: state one step along the plan forwards
         """
         route, direction, horizon = now.route, now.direction, now.horizon
         way = route.s - self.passage.waiting_s(route.s, direction, now.size.length) + self.config.beyond_m
-        path = self._path(route, direction)
-        stays = (route.s_dot.abs() <= STILL_MPS) & (ahead.s_dot.abs() <= STILL_MPS)
-        is_asked = (horizon >= self.config.least_horizon_s) & self._is_in_the_way(now, way)
+        path, room = self._path(route, direction), self._room(now)
+        is_at_rest = route.s_dot.abs() <= STILL_MPS
+        stays = is_at_rest & (ahead.s_dot.abs() <= STILL_MPS)
+        is_asked = (
+            (horizon >= self.config.least_horizon_s) & self._is_in_the_way(now, way) & (stays | (route.s_dot < 0))
+        )
+        way = torch.maximum(torch.where(is_asked, way, -torch.inf), room)
         is_free = self._is_drivable(now, way, path) & self._is_clear(now, way)
-        goes = is_asked & is_free & (stays | (route.s_dot < 0)) & (way > ROUNDING_M) & (way <= self.config.length_m)
-        return goes | (route.s_dot < 0), self._step(route, direction, torch.where(goes, way, 0.0), path)
+        goes = is_free & (is_at_rest | (route.s_dot < 0)) & (way > ROUNDING_M) & (way <= self.config.length_m)
+        waits = is_at_rest & (room > -WAITING_M)
+        return goes | waits | (route.s_dot < 0), self._step(route, direction, torch.where(goes, way, 0.0), path)
+
+    def _room(self, now: Situation) -> Tensor:
+        """[N] m: distance to drive back for the vehicles ahead, -inf where none asks."""
+        if not self.config.makes_room:
+            return torch.full_like(now.route.s, -torch.inf)
+        return way_for_those_ahead(self.passage, now, self.config.beyond_m, self.config.behind_m + SPARE_M)
 
     def to_rest(self, now: Situation, back: RouteState, times: Tensor) -> RouteState:
         """States [T, N] at `times` [T] (s): `back` [N] at the first of them, then coming to rest."""
@@ -136,6 +155,8 @@ class Reversing:
         gap = route.s - others.s - (size.length + other.length) / 2 - speed.clamp(min=0) * duration_s
         offset = others.d - self.road.route_offset(others.s, direction)[0]
         is_behind = others.is_seen & (others.s < route.s) & (offset.abs() < 0.75 * (size.width + other.width))
+        if config.makes_room:  # who drives back itself leaves more room with every step
+            way = torch.where(speed < -CREEPING_MPS, way.clamp(max=self._halting_m), way)
         return ~(is_behind & (gap < way + config.behind_m)).any(0)
 
     def _step(self, route: RouteState, direction: Tensor, way: Tensor, path: tuple[Tensor, ...]) -> RouteState:

@@ -162,7 +162,7 @@ def test_overrides_that_others_need_are_taken() -> None:
         ("scenario.n_social=2", "overrides must be a sequence of texts key=value, got 'scenario.n_social=2'"),
         ((5,), r"overrides must be a sequence of texts key=value, got \(5,\)"),
         (("scenario.n_socials=2",), "scenario.n_socials is not a known key, did you mean n_social?"),
-        (("planner=none",), "planner must be one of close_passing, consistent_stops, frenet, reversing, got none"),
+        (("planner=none",), "planner must be one of consistent_stops, frenet, reversing, traffic, got none"),
     ],
 )
 def test_wrong_overrides_are_one_line(overrides: Any, message: str) -> None:

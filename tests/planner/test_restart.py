@@ -47,7 +47,7 @@ def test_a_car_at_rest_beside_the_kerb_with_its_wheels_turned_drives_on() -> Non
     assert not world.has_collided[0, EGO]
 
 
-@pytest.mark.parametrize(("planner", "starts_again"), [("reversing", False), ("close_passing", True)])
+@pytest.mark.parametrize(("planner", "starts_again"), [("reversing", False), ("traffic", True)])
 def test_a_car_at_rest_on_its_route_enters_a_corridor_that_leaves_it_a_third_of_a_metre(
     planner: str, starts_again: bool
 ) -> None:

@@ -210,3 +210,33 @@ def hits_behind(config: RunConfig, before: VehicleState, after: VehicleState) ->
         return (overlap_depth(mine, its) > 0) & (others.speed.abs() < 0.1)[:, None] & ~torch.eye(4, dtype=torch.bool)
 
     return (overlaps(after, before) & ~overlaps(before, before)).any(2)
+
+
+@pytest.mark.parametrize("makes_room", [False, True])
+def test_who_stands_behind_one_that_has_to_drive_back_drives_back_first(makes_room: bool) -> None:
+    """Nose to nose, the ego has two close behind it, which predict little."""
+    config, game = built("scenario.n_followers=2", f"planner.reversing.makes_room={makes_room}".lower())
+    worlds = drive(game, stand(config, game, [[3.0, 3.5, -3.0, -9.0]]), torch.tensor([[6.0, 2.0, 2.0, 0.0]]), 170)
+    s, speed = progress(game, worlds)[:, 0], torch.stack([world.vehicles.speed[0] for world in worlds])
+    assert not worlds[-1].has_collided.any()
+    assert bool(worlds[-1].has_reached[0, 1]) == makes_room
+    assert bool((speed[:, [EGO, 2, 3]].amin(0) < -1).all()) == makes_room
+    if makes_room:
+        first_back = (speed[:, [3, 2, EGO]] < 0).int().argmax(0)
+        assert (first_back.diff() > 0).all()  # the last one first
+        assert s[-1, EGO] > s[:, EGO].min() + 1  # and goes on, once the other is through
+    else:
+        assert (speed == 0).all()
+
+
+def test_nobody_makes_room_for_one_that_can_be_passed_or_drives_on() -> None:
+    config, game = built("scenario.n_followers=1", "planner.reversing.makes_room=true")
+    # it stands where the other can pass; it drives; nobody comes near
+    world = meet(
+        config,
+        game,
+        [[-12.0, 3.5, -18.0], [3.0, 3.5, -3.0], [3.0, -20.0, -3.0]],
+        [[0.0, 0.0, 0.0], [3.0, 0.0, 3.0], [0.0, 3.0, 0.0]],
+    )
+    motion = game.plan(game.perceive(world), torch.zeros(3, 3))
+    assert (motion.state.speed[:, 2] >= 0).all()

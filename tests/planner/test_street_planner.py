@@ -30,7 +30,7 @@ def narrow_lane() -> StreetPlanner:
     return StreetPlanner.of("narrow_lane", "frenet")
 
 
-@pytest.mark.parametrize("name", ["frenet", "consistent_stops", "reversing", "close_passing"])
+@pytest.mark.parametrize("name", ["frenet", "consistent_stops", "reversing", "traffic"])
 def test_planner_options_are_those_of_hydra(name: str) -> None:
     assert planner_option(name) == compose_config([f"planner={name}"]).planner
 
@@ -50,7 +50,7 @@ def test_scenario_options_are_those_of_hydra(name: str) -> None:
             "narrow_lane",
             "a_star",
             None,
-            r"planner must be one of close_passing, consistent_stops, frenet, reversing, got a_star",
+            r"planner must be one of consistent_stops, frenet, reversing, traffic, got a_star",
         ),
         ("narrow_lane", "frenet", {"gap_m": 3.0}, r"scenario\.road\.gap_m: Unexpected keyword argument, got 3\.0"),
         ("narrow_lane", "frenet", {"width_m": -1.0}, r"scenario\.road\.width_m.*greater than 0, got -1\.0"),
