@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 import torch
+from composed import compose_config
 from read_once import read_once
 from tracked import Command
 
 import negopipe.__main__ as entry
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game, build_game
 from negopipe.tracking.database import connect, database_path, store_lock

@@ -16,7 +16,7 @@ from negopipe.simulation.state import EGO, VehicleState, World
 from negopipe.tensors.tree import map_tensors
 
 INF = math.inf
-STREETS = ["narrow_lane", "bent_street", "one_sided"]
+STREETS = ["narrow_lane", pytest.param("bent_street", marks=pytest.mark.slow), "one_sided"]
 NOSE_TO_NOSE = [3.0, 3.5]
 """s of the two, m: 1 m is between their noses."""
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from composed import compose_config
 from games import tiny_config
 from torch import Generator, Tensor, nn
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
 from negopipe.policy.actor_critic import Policy
