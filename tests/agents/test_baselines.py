@@ -128,13 +128,12 @@ def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:
     assert evaluation.fixed_horizons_s == {"fixed_6": 6.0, "random_short": 1.6}
 
 
-def test_only_horizons_that_a_baseline_names_are_used(
-    config: RunConfig, brief: Game, baselines: dict[str, DriverConfig]
-) -> None:
+def test_only_horizons_that_a_baseline_names_are_used(config: RunConfig, baselines: dict[str, DriverConfig]) -> None:
+    game = build_game(compose_config(["scenario.episode_steps=12"]))
     task = draw_tasks(config, 2, seed=3)
     short = replace(baselines["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]
     for baseline in (baselines | {"level_k": short}).values():
-        horizon = drive(config, brief, baseline, task).horizon_s[:, :, 0]
+        horizon = drive(config, game, baseline, task).horizon_s[:, :, 0]
         named = {horizon_s for values in baseline.prediction_horizons_s.values() for horizon_s in values}
         assert set(horizon[~np.isnan(horizon)].tolist()) <= named
 
