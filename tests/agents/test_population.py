@@ -203,7 +203,9 @@ def policy_of(config: RunConfig, game: Game) -> Learned:
 
 
 def test_a_policy_sees_and_chooses_on_the_other_side_what_the_ego_would() -> None:
-    config = config_with("self", self__driver__action="greedy")
+    small = ["policy.conv=[{channels: 4, kernel: 8, stride: 4}, {channels: 4, kernel: 4, stride: 2}]"]
+    greedy = "population.drivers.self.driver.action=greedy"
+    config = load_config("population/driver=[self]", SHORT, greedy, "policy.encoder_width=16", *small)
     plain = build_game(config)
     learned = policy_of(config, plain)
     game = with_policies(plain, {0: learned})
