@@ -1,5 +1,6 @@
 """What tests share: the composed default configuration, the command line, a new store; one thread for every test."""
 
+import gc
 import signal
 import sys
 from collections.abc import Iterator
@@ -7,15 +8,24 @@ from pathlib import Path
 
 import pytest
 import torch
+from composed import compose_config
+from read_once import read_once
 from tracked import Command
 
 import negopipe.__main__ as entry
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game, build_game
 from negopipe.tracking.database import connect, database_path, store_lock
 
 torch.set_num_threads(1)  # tests run in several processes; two threads each would only wait for one another
+
+read_once()
+
+
+def pytest_collection_finish() -> None:
+    """What is imported by now stays: the garbage collector, busy where configs are composed, need not look at it."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_runtest_teardown() -> None:

@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
@@ -18,6 +19,8 @@ from negopipe.policy.actor_critic import ActorCritic, mlp
 CPU = torch.device("cpu")
 CONF = Path(__file__).parents[1] / "conf"
 ALGORITHMS = ("acktr", "acktr_adam", "a2c", "ppo")
+TWO_FIRST = ("acktr", "ppo", *(pytest.param(name, marks=pytest.mark.slow) for name in ("acktr_adam", "a2c")))
+"""For what takes a training: the fast tests try two algorithms."""
 SMALL = (
     "algorithm.n_worlds=16", "algorithm.n_steps=8", "algorithm.minibatch_size=64", "algorithm.n_probe=32",
 )  # fmt: skip

@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from composed import compose_config
 
 from negopipe import CONF, environment
-from negopipe.config.compose import compose_config
 from negopipe.errors import UserError
 from negopipe.game.game import has_compiler
 from negopipe.tracking.database import connect

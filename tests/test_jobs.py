@@ -138,7 +138,7 @@ def test_a_shipped_policy_is_the_checkpoint_with_its_encoder_rounded(
 
 def test_the_speed_of_environments_is_measured(tmp_path: Path) -> None:
     script = load_script("environments")
-    script.main(12, tmp_path / "speed.csv", (("single", 1), ("sync", 2), ("batched", 2)))
+    script.main(4, tmp_path / "speed.csv", (("single", 1), ("sync", 2), ("batched", 2)))
     table = read_csv(tmp_path / "speed.csv", script.TABLE)
     assert table["way"].tolist() == ["single", "sync", "batched"] * 2
     assert (table["decisions_per_s"] > 0).all()

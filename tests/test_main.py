@@ -137,6 +137,7 @@ for folder, *arguments in ((".", sys.argv[1]), (".", sys.argv[2]), ("\\udcc3\\ud
 """
 
 
+@pytest.mark.slow
 def test_a_command_line_that_is_not_read_as_utf8_is_told_so(tmp_path: Path) -> None:
     """... and a folder that is given, and one that is not."""
     latin = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
@@ -178,8 +179,11 @@ def test_the_command_line_works_in_a_thread(command: Command, monkeypatch: pytes
     assert (code, err) == (0, "")
 
 
+HANDLERS = [signal.SIG_DFL, pytest.param(signal.SIG_IGN, marks=pytest.mark.slow), lambda *_: None]
+
+
 @pytest.mark.usefixtures("stored")
-@pytest.mark.parametrize("handler", [signal.SIG_DFL, signal.SIG_IGN, lambda *_: None])
+@pytest.mark.parametrize("handler", HANDLERS)
 def test_signal_handlers_stay_as_they_were(command: Command, monkeypatch: pytest.MonkeyPatch, handler: Any) -> None:
     found = []
     replace_stage(monkeypatch, "report", lambda *_: found.append(signal.getsignal(signal.SIGTERM)))

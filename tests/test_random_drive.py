@@ -7,9 +7,9 @@ import os
 
 import pytest
 import torch
+from composed import compose_config
 from torch import Tensor
 
-from negopipe.config.compose import compose_config
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import build_game, has_compiler
 from negopipe.game.reward import RewardConfig
@@ -54,13 +54,13 @@ def test_the_world_stays_sound(options: tuple[str, ...]) -> None:
 
 
 def test_a_little_traffic_stays_sound() -> None:
-    drive_at_random((*TRAFFIC, *MIXED, "scenario.episode_steps=60"), 24, 70, is_compiled=False)
+    drive_at_random((*TRAFFIC, *MIXED, "scenario.episode_steps=40"), 24, 45, is_compiled=False)
 
 
 def test_a_few_streets_of_changing_width_stay_sound() -> None:
-    few = ("scenario.streets.n_training=1", "scenario.streets.n_held_out=32", "scenario.episode_steps=60")
-    streets = drive_at_random((*STREETS[:2], *few, WIDTHS, *MIXED), 24, 70, is_compiled=False)
-    assert len(streets) > 12
+    few = ("scenario.streets.n_training=1", "scenario.streets.n_held_out=16", "scenario.episode_steps=40")
+    streets = drive_at_random((*STREETS[:2], *few, WIDTHS, *MIXED), 24, 45, is_compiled=False)
+    assert len(streets) > 8
 
 
 def drive_at_random(options: tuple[str, ...], n_worlds: int, n_steps: int, is_compiled: bool) -> set[float]:
@@ -90,8 +90,9 @@ def drive_at_random(options: tuple[str, ...], n_worlds: int, n_steps: int, is_co
         gained = ((now.vehicles.speed - before.vehicles.speed) / dt)[~is_over]
         # full braking goes on along a path whose metres per metre of road change, and may speed up by as little
         assert float(now.vehicles.speed.max()) <= limits.speed_max_mps * 1.05
-        assert float(gained.max()) <= limits.accel_max_mps2 + 0.5
-        assert float(gained.min()) >= -limits.full_braking_mps2 - 1.0
+        if len(gained):  # nobody goes on where all are out of time at once
+            assert float(gained.max()) <= limits.accel_max_mps2 + 0.5
+            assert float(gained.min()) >= -limits.full_braking_mps2 - 1.0
     assert n_over > n_worlds // 2
     assert met == set(range(len(families)))
     return streets

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from docstrings import escaped
@@ -19,6 +20,10 @@ NAMED_ELSEWHERE = "a key of the group that its name begins with"
 LONGEST_VALUE = 100
 
 
+known_keys = cache(keys)
+"""Keys of a file of conf/, which is parsed once: every other option of its group asks for them."""
+
+
 def options() -> dict[str, list[Path]]:
     """Option files by group, the root first (group "")."""
     groups: dict[str, list[Path]] = {"": [CONF / "config.yaml"]}
@@ -34,9 +39,9 @@ def explained(group: str, path: Path) -> list[Key]:
     A name with dots is a key of another group, which explains it.
     """
     others = {"kind": KIND} | {
-        key.path: key.meaning for other in options()[group] for key in keys(other) if key.meaning
+        key.path: key.meaning for other in options()[group] for key in known_keys(other) if key.meaning
     }
-    own = [key for key in keys(path) if group or key.path.split(".")[0] != NOT_OURS]
+    own = [key for key in known_keys(path) if group or key.path.split(".")[0] != NOT_OURS]
     return [replace(key, meaning=key.meaning or others.get(key.path, "")) for key in own]
 
 

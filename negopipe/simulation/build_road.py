@@ -1,5 +1,6 @@
 """The road of a scenario: one street in closed form, or by table that of a map or many that a vehicle can drive on."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import torch
@@ -17,7 +18,10 @@ from negopipe.simulation.streets import Streets
 from negopipe.tensors.seeding import generator
 
 N_DRAWN = 128
-"""Streets that are drawn and checked together."""
+"""Streets that are drawn together, and checked together unless far fewer are wanted."""
+
+N_CHECKED_PER_STREET = 8
+"""Streets that are checked together for each that is wanted: about one in four is drivable."""
 
 Footprints = tuple[VehicleConfig, ...]
 """Of the vehicles that must be able to drive on a street."""
@@ -82,8 +86,13 @@ def _is_good(table: Streets, streets: StreetsConfig, footprints: Footprints) -> 
     return torch.stack(good).all(0)
 
 
-def _by_table(configs: tuple[StreetConfig, ...], device: torch.device | str) -> Streets:
-    reach_m = BEYOND_M + max(config.reach_m for config in configs)
+def _reach_m(configs: Sequence[StreetConfig]) -> float:
+    return BEYOND_M + max(config.reach_m for config in configs)
+
+
+def _by_table(configs: Sequence[StreetConfig], device: torch.device | str, reach_m: float | None = None) -> Streets:
+    """reach_m: of the tables; None = as far as the streets themselves ask for"""
+    reach_m = _reach_m(configs) if reach_m is None else reach_m
     return Streets([drawn_street(config, reach_m) for config in configs], device)
 
 
@@ -92,14 +101,16 @@ def _drivable_streets(
 ) -> list[StreetConfig]:
     """`n` streets whose routes keep to the requirements of `streets`; UserError where too few do."""
     found: list[StreetConfig] = []
-    n_drawn = 0
+    n_drawn, n_checked = 0, min(N_DRAWN, N_CHECKED_PER_STREET * n)
     while len(found) >= n_drawn * LEAST_SHARE:
-        drawn = tuple(road.draw(N_DRAWN, random))
-        n_drawn += len(drawn)
-        is_good = _is_good(_by_table(drawn, "cpu"), streets, footprints)
-        found += [street for street, good in zip(drawn, is_good.tolist(), strict=True) if good]
-        if len(found) >= n:
-            return found[:n]
+        drawn = road.draw(N_DRAWN, random)
+        n_drawn, reach_m = n_drawn + len(drawn), _reach_m(drawn)
+        for first in range(0, N_DRAWN, n_checked):
+            part = drawn[first : first + n_checked]
+            is_good = _is_good(_by_table(part, "cpu", reach_m), streets, footprints)
+            found += [street for street, good in zip(part, is_good.tolist(), strict=True) if good]
+            if len(found) >= n:
+                return found[:n]
     n_found = f"{len(found)} of {n_drawn} do"
     raise UserError(f"scenario.road must leave streets with {_rule(streets)}, {n_found}: {road.intervals}")
 

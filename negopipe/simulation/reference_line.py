@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from negopipe.simulation.knot_tables import GAUSS, KNOT_M, N_SEARCHED
-from negopipe.simulation.smoothstep import smoothstep
+from negopipe.simulation.smoothstep import slope, smoothstep, step
 
 REACH_M = 200.0
 """Bends lie within this distance from the corridor's middle; beyond it the line is straight."""
@@ -47,8 +47,15 @@ class Course:
         """[...] rad, world; not wrapped."""
         heading = torch.full_like(sigma, -self._heading_at_0)
         for start, length, angle in self._bends:
-            heading = heading + angle * smoothstep((sigma - start) / length)[0]
+            heading = heading + angle * step((sigma - start) / length)
         return heading
+
+    def kappa(self, sigma: Tensor) -> Tensor:
+        """[...] 1/m: the curvature alone."""
+        kappa = torch.zeros_like(sigma)
+        for start, length, angle in self._bends:
+            kappa = kappa + (angle / length) * slope((sigma - start) / length)
+        return kappa
 
     def curvature(self, sigma: Tensor) -> tuple[Tensor, Tensor]:
         """Curvature kappa [...] (1/m, positive to the left) and its derivative kappa' [...] (1/m2) by arc length."""
@@ -98,7 +105,7 @@ class ReferenceLine(Course):
         sigma = self._nearest_knot(x, y) if near is None else near.expand_as(x)
         for _ in range(N_NEWTON):
             ahead, d = self._in_line_frame(sigma, x, y)
-            sigma = sigma + ahead / (1 - self.curvature(sigma)[0] * d).clamp(min=0.2)
+            sigma = sigma + ahead / (1 - self.kappa(sigma) * d).clamp(min=0.2)
         return sigma, self._in_line_frame(sigma, x, y)[1]
 
     def _nearest_knot(self, x: Tensor, y: Tensor) -> Tensor:
@@ -152,7 +159,7 @@ def check_bends(bends: Sequence[Bend], width_m: float) -> None:
     steps = [torch.arange(-REACH_M, REACH_M, 0.1, dtype=torch.float64)]
     steps += [bend.start_m + bend.length_m * torch.linspace(0, 1, 101, dtype=torch.float64) for bend in bends]
     sigma = torch.cat(steps).sort().values  # no bend is so short that it lies between two of them
-    sharpest = float(line.curvature(sigma)[0].abs().max())
+    sharpest = float(line.kappa(sigma).abs().max())
     if sharpest * width_m > 1:
         radius = f"{1 / sharpest:.3g} by length_m and angle_deg"
         raise ValueError(f"bends must have a radius of at least width_m {width_m:g}, got {radius}")

@@ -9,7 +9,22 @@ def smoothstep(x: Any) -> tuple[Any, Any, Any]:
     x: [...] tensor or array
     """
     x = x.clip(0, 1)
-    value = x * x * x * (10 + x * (6 * x - 15))
-    first = 30 * x * x * (1 - x) * (1 - x)
-    second = 60 * x * (1 - x) * (1 - 2 * x)
-    return value, first, second
+    return _step(x), _slope(x), 60 * x * (1 - x) * (1 - 2 * x)
+
+
+def step(x: Any) -> Any:
+    """The value of `smoothstep` alone."""
+    return _step(x.clip(0, 1))
+
+
+def slope(x: Any) -> Any:
+    """The first derivative of `smoothstep` alone."""
+    return _slope(x.clip(0, 1))
+
+
+def _step(x: Any) -> Any:
+    return x * x * x * (10 + x * (6 * x - 15))
+
+
+def _slope(x: Any) -> Any:
+    return 30 * x * x * (1 - x) * (1 - x)

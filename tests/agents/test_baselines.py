@@ -128,13 +128,12 @@ def test_who_keeps_to_one_horizon_is_known_from_its_kind() -> None:
     assert evaluation.fixed_horizons_s == {"fixed_6": 6.0, "random_short": 1.6}
 
 
-def test_only_horizons_that_a_baseline_names_are_used(
-    config: RunConfig, brief: Game, baselines: dict[str, DriverConfig]
-) -> None:
+def test_only_horizons_that_a_baseline_names_are_used(config: RunConfig, baselines: dict[str, DriverConfig]) -> None:
+    game = build_game(compose_config(["scenario.episode_steps=12"]))
     task = draw_tasks(config, 2, seed=3)
     short = replace(baselines["level_k"], lookahead_s=0.4)  # type: ignore[call-arg]
     for baseline in (baselines | {"level_k": short}).values():
-        horizon = drive(config, brief, baseline, task).horizon_s[:, :, 0]
+        horizon = drive(config, game, baseline, task).horizon_s[:, :, 0]
         named = {horizon_s for values in baseline.prediction_horizons_s.values() for horizon_s in values}
         assert set(horizon[~np.isnan(horizon)].tolist()) <= named
 
@@ -213,6 +212,12 @@ def test_time_to_a_place() -> None:
     assert cautious.time_to(0.0, now, speed).tolist() == [2.0, cautious.LONG_S, 0.0, 0.0]
 
 
+@pytest.fixture(scope="module")
+def usual_m(config: RunConfig, brief: Game, baselines: dict[str, DriverConfig]) -> np.ndarray:
+    """Progress of the cautious driver as it is."""
+    return drive(config, brief, baselines["cautious"], task_with(config, 13.0, 2.0)).progress_m
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -221,13 +226,16 @@ def test_time_to_a_place() -> None:
     ],
 )  # fmt: skip
 def test_every_value_of_the_cautious_driver_acts(
-    config: RunConfig, brief: Game, baselines: dict[str, DriverConfig], change: dict[str, float]
+    config: RunConfig,
+    brief: Game,
+    baselines: dict[str, DriverConfig],
+    usual_m: np.ndarray,
+    change: dict[str, float],
 ) -> None:
-    task = task_with(config, 13.0, 2.0)
     usual = baselines["cautious"]
     assert isinstance(usual, cautious.Config)
-    first, other = (drive(config, brief, baseline, task).progress_m for baseline in (usual, replace(usual, **change)))
-    assert not np.array_equal(first, other)
+    other = drive(config, brief, replace(usual, **change), task_with(config, 13.0, 2.0))
+    assert not np.array_equal(usual_m, other.progress_m)
 
 
 @pytest.mark.parametrize(("other_m", "margin_s", "gap_m"), [(36.0, 1.0, 3.0), (36.0, 0.0, route_following.FREE_M)])

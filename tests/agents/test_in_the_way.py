@@ -71,7 +71,12 @@ def test_who_is_in_the_next_narrow_place_is_not_waited_for() -> None:
 
 @pytest.mark.parametrize(
     ("scenario", "start_m", "style_s"),
-    [("one_sided", 12.78, 4.0), ("one_sided", 12.71, 6.0), ("narrow_lane", 13.12, 6.0), ("bent_street", 12.21, 6.0)],
+    [
+        ("one_sided", 12.78, 4.0),
+        pytest.param("one_sided", 12.71, 6.0, marks=pytest.mark.slow),
+        ("narrow_lane", 13.12, 6.0),
+        pytest.param("bent_street", 12.21, 6.0, marks=pytest.mark.slow),
+    ],
 )
 def test_two_that_hesitate_get_through(scenario: str, start_m: float, style_s: float) -> None:
     """Each slows down for the other, who then stands beyond its waiting place, where cautious drove into it."""

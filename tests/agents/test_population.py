@@ -29,7 +29,10 @@ from negopipe.tensors.tree import map_tensors, named_tensors
 
 RULES = ("idm", "cautious", "give_way", "direction_first")
 EVERYONE = ("planner", "any_horizon", "undecided", "late", "distracted", *RULES)
-SHORT = "scenario.episode_steps=40"
+SOME = ("any_horizon", "late", "cautious", "direction_first")
+EACH = pytest.mark.parametrize("names", [SOME, pytest.param(EVERYONE, marks=pytest.mark.slow)], ids=["some", "all"])
+"""Drivers out of a batch of everyone that are compared; all take long."""
+SHORT = "scenario.episode_steps=28"
 
 
 def load_config(*overrides: str) -> RunConfig:
@@ -78,13 +81,14 @@ def test_every_vehicle_has_a_driver_of_its_own() -> None:
     assert len(drivers[:, 1:].unique(dim=0)) == 2**3
 
 
-def test_mixed_drivers_drive_as_each_alone() -> None:
+@EACH
+def test_mixed_drivers_drive_as_each_alone(names: tuple[str, ...]) -> None:
     config = config_with(*EVERYONE)
     game = build_game(config)
     tasks = tasks_of(config, game, 36)
     mixed = drive(config, game, "fixed_4", tasks)
-    for index, name in enumerate(EVERYONE):
-        which = (tasks.casting.driver[:, 1] == index).nonzero()[:, 0]
+    for name in names:
+        which = (tasks.casting.driver[:, 1] == EVERYONE.index(name)).nonzero()[:, 0]
         assert len(which) > 0, name
         alone = config_with(name)
         own_game = build_game(alone)
@@ -95,13 +99,14 @@ def test_mixed_drivers_drive_as_each_alone() -> None:
             np.testing.assert_allclose(values, getattr(expected, field), atol=1e-4, err_msg=f"{name} {field}")
 
 
-def test_a_batch_is_its_worlds_one_by_one() -> None:
+@EACH
+def test_a_batch_is_its_worlds_one_by_one(names: tuple[str, ...]) -> None:
     """One world of every driver."""
     config = config_with(*EVERYONE)
     game = build_game(config)
     tasks = tasks_of(config, game, 36)
     drivers = tasks.casting.driver[:, 1].tolist()
-    first = torch.tensor([drivers.index(driver) for driver in range(len(EVERYONE))])
+    first = torch.tensor([drivers.index(driver) for driver in map(EVERYONE.index, names)])
     tasks = map_tensors(lambda field: field[first], tasks)
     together, apart = drive(config, game, "fixed_4", tasks), drive(config, game, "fixed_4", tasks, n_worlds=1)
     assert together.outcome.tolist() == apart.outcome.tolist()
@@ -123,10 +128,13 @@ def test_a_social_driver_is_the_baseline_of_its_name(name: str) -> None:
 @pytest.mark.parametrize(
     ("scenario", "first", "goes_first"),
     [
-        ("narrow_lane", "along", "ego"), ("narrow_lane", "against", "social"), ("narrow_lane", "free_side", "ego"),
-        ("one_sided", "free_side", "ego"), ("one_sided scenario.road.parked_sides=right", "free_side", "social"),
+        ("narrow_lane", "along", "ego"),
+        ("narrow_lane", "against", "social"),
+        pytest.param("narrow_lane", "free_side", "ego", marks=pytest.mark.slow),
+        pytest.param("one_sided", "free_side", "ego", marks=pytest.mark.slow),
+        ("one_sided scenario.road.parked_sides=right", "free_side", "social"),
     ],
-)  # fmt: skip
+)
 def test_one_direction_goes_first(scenario: str, first: str, goes_first: str) -> None:
     """Whoever arrives first; one_sided has the cars on the left, where the social vehicle drives."""
     value = f"population.drivers.direction_first.driver.first={first}"
@@ -195,7 +203,9 @@ def policy_of(config: RunConfig, game: Game) -> Learned:
 
 
 def test_a_policy_sees_and_chooses_on_the_other_side_what_the_ego_would() -> None:
-    config = config_with("self", self__driver__action="greedy")
+    small = ["policy.conv=[{channels: 4, kernel: 8, stride: 4}, {channels: 4, kernel: 4, stride: 2}]"]
+    greedy = "population.drivers.self.driver.action=greedy"
+    config = load_config("population/driver=[self]", SHORT, greedy, "policy.encoder_width=16", *small)
     plain = build_game(config)
     learned = policy_of(config, plain)
     game = with_policies(plain, {0: learned})

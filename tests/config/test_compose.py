@@ -74,6 +74,7 @@ main()
 """Another Hydra program, with keys, schemas and groups that are named like ours."""
 
 
+@pytest.mark.slow
 def test_another_hydra_program_gets_our_config_and_keeps_its_own(tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text(f"OVERRIDES = {OVERRIDES}\n{PROGRAM}")

@@ -3,6 +3,7 @@
 import dataclasses
 import re
 import shlex
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ OF_A_MAP = {"lanelet2", "commonroad"}
 FEW_STREETS = ["scenario.streets.n_training=2", "scenario.streets.n_held_out=2"]
 OBJECTS = ["observation=objects", "policy=objects"]
 """Each of them fits the other only."""
+ALONE = {"experiment", "algorithm"}
+"""Groups whose options choose those of other groups."""
 OPTIONS = sorted(
     option
     for path in CONF.glob("*/**/*.yaml")
@@ -47,14 +50,36 @@ def job_commands() -> list[list[str]]:
     return commands
 
 
-@pytest.mark.parametrize("option", OPTIONS, ids=str)
-def test_every_option_composes_and_builds(option: Path) -> None:
+def overrides_of(option: Path) -> list[str]:
+    """The option, and what it needs beside it."""
     plus = "+" if option.parts[0] == "experiment" else ""
     beside = ["report.side_by_side=[]"] if option.parent.name == "baseline" else []
     beside += ["planner=consistent_stops"] if option.name.endswith("_inf") else []
     beside += OBJECTS if option.name == "objects" else []
-    beside += FEW_STREETS if option.name.startswith("generalist") else []
-    build(*beside, f"{plus}{option.parent}={option.name}")
+    beside += FEW_STREETS if {"generalist", "streets"} & set(re.split(r"\W|_", option.name)) else []
+    return [*beside, f"{plus}{option.parent}={option.name}"]
+
+
+def rounds() -> list[list[Path]]:
+    """Options that are composed together: one of each group that needs nothing beside it; all others alone."""
+    of_groups: dict[Path, list[Path]] = {}
+    for option in OPTIONS:
+        is_alone = option.parts[0] in ALONE or len(overrides_of(option)) > 1
+        of_groups.setdefault(option if is_alone else option.parent, []).append(option)
+    alone = [options for group, options in of_groups.items() if group in options]
+    together = [options for group, options in of_groups.items() if group not in options]
+    return alone + [[option for option in each if option] for each in zip_longest(*together)]
+
+
+@pytest.mark.parametrize("options", rounds(), ids=lambda options: " ".join(map(str, options)))
+def test_options_compose_and_build_together(options: list[Path]) -> None:
+    build(*(override for option in options for override in overrides_of(option)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", OPTIONS, ids=str)
+def test_every_option_composes_and_builds(option: Path) -> None:
+    build(*overrides_of(option))
 
 
 @pytest.mark.parametrize("words", job_commands(), ids=" ".join)

@@ -92,10 +92,10 @@ def test_a_single_environment_drives_the_episodes_of_a_world(batched: VectorEnv)
 
 
 def test_metrics_are_those_of_an_evaluation() -> None:
-    overrides = ("scenario.episode_steps=90", "perception=noisy", "scenario.n_social=2")
+    overrides = ("scenario.episode_steps=60", "perception=noisy", "scenario.n_social=2")
     config = compose_config(["+experiment=mixture", "evaluation.settings=[mixture]", *overrides])
     n, game = 4, build_game(config)
-    actions = np.repeat([[0, 1, 3, 3]], 90, axis=0)
+    actions = np.repeat([[0, 1, 3, 3]], 60, axis=0)
     envs: Any = gymnasium.make_vec(ENV_ID, num_envs=n, overrides=overrides)
     envs.reset(seed=1)
     numbers = [int(np.random.default_rng(1 + i).integers(MOST)) for i in range(n)]

@@ -13,7 +13,7 @@ from negopipe.simulation.state import EGO, Task
 
 OVERRIDES = (
     *("scenario.n_social=2", "scenario=random_streets", "population=mixed", "perception=noisy"),
-    *("evaluation.settings=[mixture]",),
+    *("evaluation.settings=[mixture]", "scenario.streets.n_training=8", "scenario.streets.n_held_out=4"),
 )
 DRAWN: dict[str, Any] = {"street": 7, "noise_seed": 5, "social_driver": "any_horizon"}
 
@@ -87,8 +87,8 @@ def test_a_task_is_the_same_in_every_world_and_for_one_reset_only() -> None:
     [
         (3, "options.task must be a mapping of names to values, got 3"),
         ({"start_m": 3}, "options.task must have names among street, .*, got 'start_m'"),
-        ({"street": 0}, "options.task.street must be an integer from 1 to 384, got 0"),
-        ({"street": 385}, "options.task.street must be an integer from 1 to 384, got 385"),
+        ({"street": 0}, "options.task.street must be an integer from 1 to 12, got 0"),
+        ({"street": 13}, "options.task.street must be an integer from 1 to 12, got 13"),
         ({"street": True}, "options.task.street must be an integer"),
         ({"noise_seed": 2**24}, "options.task.noise_seed must be an integer from 0 to 16777215, got 16777216"),
         ({"social_driver": "nobody"}, "options.task.social_driver must be one of .*any_horizon.*, got 'nobody'"),

@@ -34,6 +34,7 @@ def test_ids_are_registered_without_torch(imports: str) -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.slow
 def test_gymnasium_alone_finds_an_id_by_its_module() -> None:
     program = "import gymnasium; print(gymnasium.make('negopipe:negopipe/Push-v0').spec.id)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
@@ -49,7 +50,8 @@ def test_an_id_has_its_tasks(name: str, settings: list[str]) -> None:
 
 
 def test_the_generalist_meets_its_population_on_drawn_streets() -> None:
-    config = config_of("negopipe/Generalist-v0")
+    few = ["scenario.streets.n_training=2", "scenario.streets.n_held_out=2"]
+    config = config_of("negopipe/Generalist-v0", overrides=few)
     assert config.scenario.has_many_streets
     assert config.observation.kind == "objects"
     assert set(config.population.drivers) == {"any_horizon", "undecided", "late", "cautious"}

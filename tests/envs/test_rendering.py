@@ -128,7 +128,10 @@ def test_other_modes_are_refused() -> None:
             NarrowLaneVectorEnv(1, SHORT, mode)
 
 
-@pytest.mark.parametrize("kinds", [(), ("observation=objects", "policy=objects")])
+OBJECTS = pytest.param(("observation=objects", "policy=objects"), marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("kinds", [(), OBJECTS], ids=["grids", "objects"])
 def test_the_checker_finds_nothing(window: Any, kinds: tuple[str, ...]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

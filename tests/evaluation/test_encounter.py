@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from composed import compose_config
 
-from negopipe.config.compose import compose_config
 from negopipe.errors import UserError
 from negopipe.evaluation.encounter import (
     Encounter,

@@ -1,16 +1,16 @@
 """Evaluation episodes: outcomes, records that agree with the simulator, the same whatever is driven beside them."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks
 
 from negopipe.agents.driver import HorizonDriver, fixed_horizon
 from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.trace import EPISODE_AXIS, OUTCOMES, Trace
@@ -25,6 +25,11 @@ def task_with(config: RunConfig, distance_m: float, style_s: float, n: int = 1) 
     distance, style = task.start_distance.clone(), task.style_horizon.clone()
     distance[:, 1], style[:, 1] = distance_m, style_s
     return replace(task, start_distance=distance, style_horizon=style)
+
+
+@cache
+def short_game(episode_steps: int) -> Game:
+    return build_game(compose_config([f"scenario.episode_steps={episode_steps}"]))
 
 
 def drive(config: RunConfig, game: Game, task: Task, horizon_s: float, n_worlds: int) -> Trace:
@@ -78,7 +83,8 @@ def test_records_are_those_of_the_drive(config: RunConfig, game: Game) -> None:
     assert (trace.position_m[n:] == trace.position_m[n]).all()
 
 
-def test_outcomes_do_not_depend_on_batch_size_or_order(config: RunConfig, game: Game) -> None:
+def test_outcomes_do_not_depend_on_batch_size_or_order(config: RunConfig) -> None:
+    game = short_game(72)
     task, order = draw_tasks(config, 10, seed=4), torch.randperm(10, generator=torch.Generator().manual_seed(1))
     one_batch = drive(config, game, task, 6.0, 10)
     in_parts = drive(config, game, map_tensors(lambda field: field[order], task), 6.0, 4)
@@ -117,7 +123,8 @@ def compiled(config: RunConfig) -> Game:
     return build_game(config, is_compiled=True)
 
 
-def test_adaptive_planner_looks_at_the_grids(config: RunConfig, game: Game) -> None:
+def test_adaptive_planner_looks_at_the_grids(config: RunConfig) -> None:
+    game = short_game(32)
     policy = build_policy(
         config.policy, config.observation.layout, torch.device("cpu"), torch.Generator().manual_seed(0)
     )

@@ -5,11 +5,11 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks
 
 from negopipe.agents.driver import HorizonDriver
 from negopipe.agents.horizon_drivers import adaptive_planner
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.replay import record_policy, replay

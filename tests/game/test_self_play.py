@@ -19,6 +19,8 @@ from negopipe.simulation.scenario import TaskSampler
 N = 6
 HORIZONS = torch.tensor([0.0, 2.0, 4.0, 6.0])
 SMALL = ["+experiment=smoke", "device=cpu", "compile='off'", f"algorithm.n_worlds={N}", "algorithm.n_steps=8"]
+GRIDS = ["policy.encoder_width=16"]
+"""A small network, which learns quickly."""
 
 
 def made(*overrides: str) -> tuple[RunConfig, Game, NegotiationEnv]:
@@ -113,7 +115,7 @@ def rollout_of(*overrides: str, seed: int = 0) -> tuple[RunConfig, ActorCritic, 
 
 
 def test_what_others_do_is_not_learnt_from() -> None:
-    config, policy, rollout = rollout_of("population/driver=[planner,self]")
+    config, policy, rollout = rollout_of("population/driver=[planner,self]", *GRIDS)
     learns = rollout.is_learning
     assert learns[:, :N].all()
     assert 0 < learns[:, N:].float().mean() < 1
@@ -142,7 +144,7 @@ def test_an_agents_decisions_end_before_another_driver_takes_its_place() -> None
 
 
 def test_decisions_are_valued_as_the_policy_values_them() -> None:
-    _, policy, rollout = rollout_of("population/driver=[planner,self]")
+    _, policy, rollout = rollout_of("population/driver=[planner,self]", *GRIDS)
     learns = rollout.is_learning
     with torch.no_grad():
         logits, value = policy(rollout.observation[learns])

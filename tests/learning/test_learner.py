@@ -5,7 +5,7 @@ from functools import cache
 
 import pytest
 import torch
-from corridor import ALGORITHMS, a_rollout, config_of, network, train, weights
+from corridor import ALGORITHMS, TWO_FIRST, a_rollout, config_of, network, train, weights
 from torch import Generator, nn
 
 from negopipe.learning.learner import Learner
@@ -50,7 +50,7 @@ def usual_weights(algorithm: str) -> torch.Tensor:
     return weights(train(config_of(algorithm), 4)[0])
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", TWO_FIRST)
 def test_learns_the_corridor(algorithm: str) -> None:
     _, _, metrics = train(config_of(algorithm, *FASTER[algorithm], "algorithm.n_steps=16"), 60)
     assert metrics[0]["return_mean"] < 4

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks, place
 from torch import Tensor
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game, build_game
 from negopipe.observation.objects import OWN, PER_OTHER, Objects, ObjectsConfig

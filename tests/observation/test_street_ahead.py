@@ -2,9 +2,9 @@
 
 import pytest
 import torch
+from composed import compose_config
 from torch import Tensor
 
-from negopipe.config.compose import compose_config
 from negopipe.game.game import build_game
 from negopipe.observation.street_ahead import BESIDE_M, StreetAhead
 from negopipe.simulation.road import Road

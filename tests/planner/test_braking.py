@@ -151,7 +151,7 @@ def test_options_of_stops_act(stopping_config: RunConfig, stopping: Game, option
     other = build_game(compose_config(["planner=consistent_stops", option]))
     world = stopping.simulator.reset(draw_tasks(stopping_config, 16))
     horizon, n_different = torch.tensor([[6.0, 2.0], [4.0, 0.0]]).repeat(8, 1), 0
-    for step in range(30):
+    for step in range(18):
         if step == 3:  # who now predicts the other farther has to brake hard
             horizon = torch.full_like(horizon, 6.0)
         seen = stopping.perceive(world)

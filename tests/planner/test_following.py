@@ -57,8 +57,11 @@ def test_who_predicts_nothing_stops_behind_its_leader(planner: str) -> None:
     assert world.has_reached.all()
 
 
+BRIEF = "scenario.episode_steps=80"
+
+
 def test_without_the_rule_it_runs_into_its_leader() -> None:
-    for world in (queue("frenet"), queue("consistent_stops", NULL)):
+    for world in (queue("frenet", BRIEF), queue("consistent_stops", NULL, BRIEF)):
         assert world.has_collided[:, 1:].all()
         assert not world.has_collided[:, EGO].any()
 

@@ -16,7 +16,7 @@ from negopipe.simulation.state import EGO, Motion, World
 from negopipe.tensors.tree import map_tensors
 
 INF = math.inf
-STREETS = ["narrow_lane", "bent_street", "one_sided"]
+STREETS = ["narrow_lane", pytest.param("bent_street", marks=pytest.mark.slow), "one_sided"]
 
 
 def built(street: str) -> tuple[RunConfig, Game]:

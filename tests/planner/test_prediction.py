@@ -4,9 +4,9 @@ import math
 
 import pytest
 import torch
+from composed import compose_config
 from situations import CAR
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import Game
 from negopipe.planner.prediction import ConstantAccelerationConfig, PredictedPath, predict

@@ -135,7 +135,9 @@ def test_a_bus_keeps_its_distance_when_it_reverses_and_when_another_is_behind() 
     assert (motion.state.speed[:, EGO] < 0).tolist() == [True, False]
 
 
-@pytest.mark.parametrize("kind", ["bus", "cyclist", "small_car", "van"])
+@pytest.mark.parametrize(
+    "kind", ["bus", "cyclist", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("small_car", "van"))]
+)
 def test_two_planners_get_through_with_every_kind(kind: str) -> None:
     config = compose_config(["planner=reversing", "policy=cnn_inf", f"scenario/kind=[{kind}]"])
     game = build_game(config)

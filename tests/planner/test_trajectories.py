@@ -20,6 +20,7 @@ from negopipe.simulation.state import VehicleState
 from negopipe.tensors.tree import map_tensors
 
 DT_S = 0.2
+STREETS = ("narrow_lane", pytest.param("bent_street", marks=pytest.mark.slow), "one_sided")
 HORIZONS = (0.0, 2.0, 4.0, 6.0)
 
 
@@ -93,7 +94,7 @@ class Driving(NamedTuple):
     everything: Steps
 
 
-@pytest.fixture(scope="module", params=["narrow_lane", "bent_street", "one_sided"])
+@pytest.fixture(scope="module", params=STREETS)
 def driving(request: pytest.FixtureRequest) -> Driving:
     game = build_game(compose_config([f"scenario={request.param}"]))
     drive = driven(game, request.param)

@@ -18,11 +18,11 @@ HORIZONS_S = (0.0, 2.0, 6.0)
 
 @pytest.fixture(scope="module", params=list(PLANNERS))
 def driven(request: pytest.FixtureRequest) -> tuple[Game, list[World]]:
-    """Worlds in which vehicles meet, at every fifth step."""
+    """Worlds in which vehicles meet, at every tenth step."""
     config = tiny_config("yield", *PLANNERS[request.param])
     game = build_game(config)
     world = game.simulator.reset(draw_tasks(config, 8))
-    return game, drive(game, world, torch.full((8, 2), 6.0), 60)[::5]
+    return game, drive(game, world, torch.full((8, 2), 6.0), 60)[::10]
 
 
 def planned(game: Game, world: World, horizon_s: float) -> tuple[VehicleState, VehicleState, torch.Tensor]:

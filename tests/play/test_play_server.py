@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from composed import compose_config
 from tracked import RecordedRun
 
-from negopipe.config.compose import compose_config
 from negopipe.errors import UserError
 from negopipe.evaluation import measures
 from negopipe.evaluation.encounter import read_encounter

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from composed import compose_config
+from corridor import TWO_FIRST
 from games import tiny_config
 from torch import Generator, Tensor, nn
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
 from negopipe.policy.actor_critic import Policy
@@ -129,7 +130,7 @@ def test_options_act(config: RunConfig, key: str) -> None:
     assert len({*weights}) == 2
 
 
-@pytest.mark.parametrize("algorithm", ["acktr", "acktr_adam", "a2c", "ppo"])
+@pytest.mark.parametrize("algorithm", TWO_FIRST)
 def test_every_algorithm_trains_it(algorithm: str) -> None:
     config = tiny_config("smoke", *OBJECTS, f"algorithm={algorithm}", "policy.horizons_s=[0,4,inf]", *GIVES_WAY)
     training = Training(config)

@@ -1,9 +1,9 @@
 """Sizes of layers that are known from the config are those of the network that is built from it."""
 
 import torch
+from composed import compose_config
 from torch import Generator, nn
 
-from negopipe.config.compose import compose_config
 from negopipe.policy.grids import GridPolicyConfig, grid_actor_critic
 from negopipe.policy.size import grid_layers
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from composed import compose_config
 
-from negopipe.config.compose import compose_config
 from negopipe.errors import UserError
 from negopipe.runtime.build import build, game_of, load_policy, load_weights, save_policy
 from negopipe.tracking.checkpoint import load_checkpoint, save_checkpoint

@@ -1,9 +1,9 @@
 """The bare passes are those that an iteration cannot do without: as many, of as many decisions."""
 
 import torch
+from composed import compose_config
 from torch import Tensor, nn
 
-from negopipe.config.compose import compose_config
 from negopipe.learning.update import minibatches
 from negopipe.runtime.network_passes import forward_backward, iteration_passes, minibatch_sizes, random_observations
 from negopipe.tensors.row_blocks import Elements, RowBlocks

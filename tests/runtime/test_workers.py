@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from composed import compose_config
 
-from negopipe.config.compose import compose_config
 from negopipe.errors import UserError
 from negopipe.runtime import backend
 from negopipe.runtime.workers import n_processes, side_by_side

@@ -1,6 +1,7 @@
 """The safety layer: which plans pass, what is driven instead, what it guarantees against whoever keeps the limits."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -226,6 +227,7 @@ def test_interventions_are_recorded_and_counted(config: RunConfig, game: Game) -
     assert table["contact_speed_mps"][~hit].isna().all()
 
 
+@cache
 def fingerprint(*overrides: str) -> list[float]:
     """Numbers that the layer's options change: margins at some places, and what is driven after a lost decision."""
     config = tiny_config("mixture", "safety=rss", *overrides)

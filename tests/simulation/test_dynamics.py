@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from composed import compose_config
 from games import draw_tasks
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.game.game import build_game
 from negopipe.simulation.dynamics import Bicycle, BicycleConfig

@@ -144,10 +144,10 @@ def test_queues_are_absent_in_their_share_of_the_tasks_and_nothing_else_changes(
         assert torch.equal(drawn, same)
 
 
-@pytest.mark.parametrize("street", ["scenario=narrow_lane", "scenario=bent_street"])
+@pytest.mark.parametrize("street", ["narrow_lane", pytest.param("bent_street", marks=pytest.mark.slow)])
 def test_absent_vehicles_change_no_drive(street: str) -> None:
-    config, game = built(street, *TRAFFIC, "scenario.absent_queue_share=1.0")
-    _, few = built(street, "planner=consistent_stops", "perception.range_m=60")
+    config, game = built(f"scenario={street}", *TRAFFIC, "scenario.absent_queue_share=1.0")
+    _, few = built(f"scenario={street}", "planner=consistent_stops", "perception.range_m=60")
     task = draw_tasks(config, 8)
     assert task.is_present.sum(1).tolist() == [2] * 8
     alone = map_tensors(lambda field: field[:, :2] if field.dim() > 1 else field, task)

@@ -234,6 +234,7 @@ def test_random_drives_have_no_unseen_contact(real: tuple[RunConfig, Game]) -> N
     assert float(driven_m.max()) > 25
 
 
+@pytest.mark.slow
 def test_a_cautious_driver_gets_through(drawn: tuple[RunConfig, Game]) -> None:
     config, game = drawn
     choice = ["evaluation/baseline=[cautious]", "report.side_by_side=[]"]

@@ -95,7 +95,8 @@ def test_a_vehicle_hides_another_one() -> None:
 @pytest.mark.parametrize("scenario", ["narrow_lane", "random_streets"])
 def test_a_batch_sees_what_single_lines_see(scenario: str) -> None:
     """Random places, also off the road, line by line; batch = single worlds."""
-    options = ["curriculum=streets", "scenario.n_social=2", "scenario/kind=[car,van,cyclist]"]
+    few = ["scenario.streets.n_training=2", "scenario.streets.n_held_out=16"]
+    options = [*few, "curriculum=streets", "scenario.n_social=2", "scenario/kind=[car,van,cyclist]"]
     config = compose_config([f"scenario={scenario}", *options])
     occlusion, others, task = Occlusion(build_game(config).simulator.road), other_columns(3), draw_tasks(config, 40)
     pose = torch.rand(40, 2, 3, 3, generator=torch.Generator().manual_seed(1)) * torch.tensor([30.0, 8.0, 6.3])

@@ -311,6 +311,7 @@ def test_kerbs_are_half_a_width_from_the_line(config: RunConfig) -> None:
     assert float(road.progress(right[-1], torch.tensor(1.0))) == pytest.approx(56.0, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_bent_road_compiles_into_one_graph(config: RunConfig) -> None:
     road = road_with(config, bends=SHARP_S)
     vehicles, direction = on_bent_road(road, 8, torch.float32)

@@ -22,7 +22,8 @@ NAMES = sorted({path.stem for path in (CONF / "scenario").glob("*.yaml")} - OF_A
 
 @pytest.fixture(scope="module", params=NAMES)
 def built(request: pytest.FixtureRequest) -> tuple[RunConfig, Game]:
-    config = compose_config([f"scenario={request.param}"])
+    few = ["scenario.streets.n_training=8", "scenario.streets.n_held_out=32"]
+    config = compose_config([f"scenario={request.param}", *few])
     return config, build_game(config)
 
 

@@ -77,7 +77,9 @@ def test_what_can_be_driven_is_not(overrides: tuple[str, ...]) -> None:
     compose_config(overrides)
 
 
-@pytest.mark.parametrize("scenario", ["narrow_lane", "bent_street", "s_curve", "one_sided"])
+@pytest.mark.parametrize(
+    "scenario", ["narrow_lane", "bent_street", pytest.param("s_curve", marks=pytest.mark.slow), "one_sided"]
+)
 @pytest.mark.parametrize("swerve_m", [1.0, 2.0, 4.0, 12.0])
 def test_the_simulator_agrees(config: RunConfig, scenario: str, swerve_m: float) -> None:
     """At every distance, on every road, with two social vehicles."""

@@ -85,7 +85,7 @@ def test_frenet_round_trips_are_within_a_millimetre(few: tuple[RunConfig, Game])
         torch.testing.assert_close(back.d, route.d, atol=1e-3, rtol=0)
 
 
-@pytest.mark.parametrize("scenario", ["narrow_lane", "bent_street"])
+@pytest.mark.parametrize("scenario", ["narrow_lane", pytest.param("bent_street", marks=pytest.mark.slow)])
 def test_todays_street_in_a_table_gives_todays_outcomes(scenario: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Positions within 1 mm as long as nobody decides otherwise by a rounding, which one drive in 32 may."""
     config = compose_config([f"scenario={scenario}"])

@@ -111,7 +111,7 @@ def test_numbers_and_tensors_give_the_same_drives(population: str, monkeypatch: 
         monkeypatch.setattr(Sizes, "is_one", property(lambda self, one=is_one: one))
         game = build_game(config)
         world = game.simulator.reset(task)
-        for _ in range(40):
+        for _ in range(24):
             world, _, grids = game.advance(world, game.choose(world, torch.full((12,), 6.0)))
         ends.append((world.vehicles.position, world.has_collided, grids))
     assert torch.equal(ends[0][1], ends[1][1])
@@ -122,9 +122,9 @@ def test_numbers_and_tensors_give_the_same_drives(population: str, monkeypatch: 
 def test_a_batch_is_its_single_worlds() -> None:
     config, game = built(*FOUR, "planner=reversing", "population=mixed", "policy=cnn_inf")
     task = game.cast.assign(draw_tasks(config, 6))
-    together = run(game, task, 30)
-    for index in (0, 3, 5):
-        alone = run(game, map_tensors(lambda field, i=index: field[i : i + 1], task), 30)
+    together = run(game, task, 24)
+    for index in (0, 5):
+        alone = run(game, map_tensors(lambda field, i=index: field[i : i + 1], task), 24)
         torch.testing.assert_close(alone, together[index : index + 1], atol=1e-3, rtol=0)
 
 

@@ -56,7 +56,7 @@ def test_rows_agree_with_the_drives(ran: RecordedRun) -> None:
     for row in table[table["setting"] == "push"].to_dict("records"):
         tasks = behaviour_map.map_tasks(config, game, "push", Opponent(row["social_style_s"], ""))
         choose = fixed_horizon(row["ego_horizon_s"])
-        trace = drive_episodes(game, by_horizon(game, choose), tasks, 1, config.evaluation.reward, ("again", "push"))
+        trace = drive_episodes(game, by_horizon(game, choose), tasks, 2, config.evaluation.reward, ("again", "push"))
         again = episodes(Drives.of(config, trace))
         shares = again["outcome"].value_counts(normalize=True)
         for outcome, name in columns.items():
@@ -112,9 +112,13 @@ def mixed() -> tuple[RunConfig, Game]:
     return config, build_game(config)
 
 
-def test_drivers_of_the_population_have_rows_of_their_own(mixed: tuple[RunConfig, Game]) -> None:
-    config, game = mixed
-    table = behaviour_map.drive_map(config, game)
+@pytest.fixture(scope="module")
+def mixed_map(mixed: tuple[RunConfig, Game]) -> pd.DataFrame:
+    return behaviour_map.drive_map(*mixed)
+
+
+def test_drivers_of_the_population_have_rows_of_their_own(mixed_map: pd.DataFrame) -> None:
+    table = mixed_map
     whom = [("", 0.0), ("", 6.0), ("cautious", 0.0), ("cautious", 6.0), ("undecided", 0.0), ("undecided", 6.0)]
     assert list(zip(table["social_driver"], table["ego_horizon_s"], strict=True)) == whom
     assert table["social_style_s"].isna().tolist() == [False] * 2 + [True] * 4
@@ -134,9 +138,8 @@ def test_every_driver_meets_the_starts_of_the_styles(mixed: tuple[RunConfig, Gam
     assert game.cast.named(driver.casting.driver).tolist() == [["", "cautious"]] * 2
 
 
-def test_the_figure_names_the_drivers(mixed: tuple[RunConfig, Game]) -> None:
-    config, game = mixed
-    figure = draw(behaviour_map.drive_map(config, game))
+def test_the_figure_names_the_drivers(mixed_map: pd.DataFrame) -> None:
+    figure = draw(mixed_map)
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["6", "cautious", "undecided"]
     assert figure.get_supylabel() == "social driver: prediction horizon [s] or name"
 

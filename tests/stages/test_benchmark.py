@@ -127,6 +127,7 @@ def test_the_tracking_share_grows_with_what_is_kept(tiny: RunConfig, tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_cell_that_dies_is_named(tiny: RunConfig, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"^benchmark\.n_worlds must fit into memory: 7 ended with exit code 7 and "):
         benchmark._in_own_process(die, tiny, 7)

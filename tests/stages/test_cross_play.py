@@ -25,6 +25,7 @@ from negopipe.tensors.tree import map_tensors
 PLAYERS = (
     "population/driver=[any_horizon,cautious,give_way,idm]",
     "population.drivers.any_horizon.driver.interval_s=[2.0,2.0]",
+    "population.drivers.give_way.weight=0.0",
     "population.drivers.idm.weight=0.0",
     "cross_play.n_episodes=6",
 )
@@ -53,7 +54,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
 
 def test_every_driver_with_a_weight_meets_every_other_in_both_seats(ran: RecordedRun) -> None:
     table = pd.read_csv(ran.folder / "cross_play.csv")
-    names = ["any_horizon", "cautious", "give_way"]
+    names = ["any_horizon", "cautious"]
     assert list(zip(table["ego"], table["social"], strict=True)) == [(a, b) for a in names for b in names]
     assert (table["n_episodes"] == 6).all()
     assert ran.artifacts == [("cross_play.csv", ""), ("cross_play_mixture.svg", "figures")]
@@ -119,7 +120,8 @@ def test_symmetric_starts_leave_no_difference_between_the_seats(played: tuple[Ru
 
 def test_the_policy_of_the_run_plays_as_self(tmp_path: Path) -> None:
     small = ("policy.trunk_widths=[16]", "policy.own_widths=[8]", "cross_play.n_episodes=2")
-    config = tiny_config("cross_play", "population/driver=[cautious,self]", *small)
+    brief = "scenario.episode_steps=12"
+    config = tiny_config("cross_play", "population/driver=[cautious,self]", *small, brief)
     run = RecordedRun(tmp_path)
     with pytest.raises(UserError, match="checkpoint must be a file or an MLflow run id"):
         cross_play.run(config, run)

@@ -14,7 +14,11 @@ from negopipe.stages import train
 from negopipe.tensors.prefixes import strip_prefix
 from negopipe.tracking.checkpoint import load_checkpoint
 
-CONFIG = ("+experiment=smoke", "device=cpu", "tracking.snapshot_period_s=1e-6")
+CONFIG = (
+    *("+experiment=smoke", "device=cpu", "tracking.snapshot_period_s=1e-6"),
+    "policy.conv=[{channels: 4, kernel: 8, stride: 4}, {channels: 4, kernel: 4, stride: 2}]",
+    *("policy.encoder_width=16", "policy.head_widths=[8]"),
+)
 SPOILED = 4
 """The iteration after whose update something is not finite."""
 

@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 import torch
 import yaml
+from composed import compose_config
 from omegaconf import OmegaConf
 from tracked import RecordedRun
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig, as_mapping, load, run_name
 from negopipe.errors import UserError
 from negopipe.evaluation.held_out import held_out_tasks

@@ -28,6 +28,9 @@ TINY = (
 )
 
 
+IN_PUSH = ("evaluation.settings=[push]",)
+
+
 def tiny(*overrides: str) -> RunConfig:
     return tiny_config("oracle", *TINY, *overrides)
 
@@ -46,7 +49,8 @@ def with_its_oracle(table: Path, *overrides: str) -> RunConfig:
     """The evaluation of a fresh policy on the tasks of `ran`."""
     return tiny(
         *(f"evaluation.oracle={table}", "evaluation/baseline=[fixed_0]", "evaluation.settings=[push,yield]"),
-        *("evaluation.leading_setting=push", "evaluation.n_episodes=3", *overrides),
+        *("evaluation.leading_setting=push", "evaluation.n_episodes=3"),
+        *("policy.conv=[{channels: 4, kernel: 8, stride: 4}]", "policy.encoder_width=16", *overrides),
     )
 
 
@@ -83,14 +87,14 @@ def test_what_was_found_for_other_tasks_is_refused(
     ran: RecordedRun, tmp_path: Path, overrides: list[str], message: str
 ) -> None:
     with pytest.raises(UserError, match=message):
-        evaluated(with_its_oracle(ran.folder / "oracle.csv", *overrides), tmp_path)
+        evaluated(with_its_oracle(ran.folder / "oracle.csv", *IN_PUSH, *overrides), tmp_path)
 
 
 def test_a_part_of_what_was_found_is_refused(ran: RecordedRun, tmp_path: Path) -> None:
     table = pd.read_csv(ran.folder / "oracle.csv")
     table[table["episode"] > 0].to_csv(tmp_path / "oracle.csv", index=False)
     with pytest.raises(UserError, match="got 1 tasks up to 1"):
-        evaluated(with_its_oracle(tmp_path / "oracle.csv"), tmp_path)
+        evaluated(with_its_oracle(tmp_path / "oracle.csv", *IN_PUSH), tmp_path)
 
 
 def test_an_oracle_that_is_none_is_named(tmp_path: Path) -> None:

@@ -2,18 +2,26 @@
 
 import json
 import re
+import signal
 import sqlite3
 import subprocess
 import sys
-from contextlib import closing
+from contextlib import closing, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
-from tracked import Command
+from tracked import Command, ready_at
 
-PLANNERS = {"adaptive", "fixed_0", "fixed_2", "fixed_4", "fixed_6"}
+import negopipe.__main__ as entry
+
+SMOKE = ("+experiment=smoke", "n_threads=1")
+FEW = ("evaluation/baseline=[fixed_0,fixed_6]", "report.side_by_side=[fixed_6]", "scenario.episode_steps=24")
+"""Fewer planners, films and steps than the experiment has; `make smoke` runs in test_commands.py."""
+SHORT = (*SMOKE, *FEW, "report.n_animations=0", "report.animation_fps=2", "report.figure_formats=[svg]")
+PLANNERS = {"adaptive", "fixed_0", "fixed_6"}
 MEASURES = {"success_rate", "collision_rate", "timeout_rate", "driving_time_s", "suspend_count", "reward"}
 
 
@@ -28,11 +36,15 @@ def only_run(outputs: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def outputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def outputs(tmp_path_factory: pytest.TempPathFactory, new_database: Path) -> Path:
     folder = tmp_path_factory.mktemp("outputs")
-    done = negopipe("+experiment=smoke", f"outputs={folder}", "n_threads=1")
-    assert done.returncode == 0, done.stderr
-    assert "left" in done.stdout  # progress
+    ready_at(new_database, folder)
+    out, handler = StringIO(), signal.getsignal(signal.SIGTERM)
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out):
+        patch.setattr(sys, "argv", ["negopipe", *SHORT, f"outputs={folder}"])
+        assert entry.main() == 0
+    signal.signal(signal.SIGTERM, handler)
+    assert "left" in out.getvalue()  # progress
     return folder
 
 
@@ -77,8 +89,9 @@ def test_store_has_the_run(outputs: Path) -> None:
     assert {"config.yaml", "checkpoint.safetensors", "report.html", "metrics.json", "episodes.csv"} <= artifacts
 
 
-def test_same_seed_same_numbers(outputs: Path, tmp_path: Path, command: Command) -> None:
-    code, _, err = command("+experiment=smoke", f"outputs={tmp_path}", "n_threads=1", "stages=[train,evaluate]")
+def test_same_seed_same_numbers(outputs: Path, tmp_path: Path, command: Command, new_database: Path) -> None:
+    ready_at(new_database, tmp_path)
+    code, _, err = command(*SHORT, f"outputs={tmp_path}", "stages=[train,evaluate]")
     assert code == 0, err
     first, again = (json.loads((only_run(o) / "metrics.json").read_text()) for o in (outputs, tmp_path))
     assert without_durations(first) == without_durations(again)
@@ -91,7 +104,7 @@ def test_same_seed_same_numbers(outputs: Path, tmp_path: Path, command: Command)
 def test_evaluation_alone_from_a_checkpoint(outputs: Path, tmp_path: Path, command: Command) -> None:
     checkpoint = only_run(outputs) / "checkpoint.safetensors"
     done = negopipe(
-        "+experiment=smoke",
+        *("+experiment=smoke", *SHORT[2:]),
         f"outputs={tmp_path}",
         "n_threads=2",  # two processes
         "stages=[evaluate]",
@@ -100,7 +113,7 @@ def test_evaluation_alone_from_a_checkpoint(outputs: Path, tmp_path: Path, comma
     assert done.returncode == 0, done.stderr
     for name in ("episodes.csv", "traces.npz"):
         assert (only_run(outputs) / name).read_bytes() == (only_run(tmp_path) / name).read_bytes()
-    again = ("+experiment=smoke", f"outputs={tmp_path}", "stages=[evaluate]", f"checkpoint={checkpoint}")
+    again = (*SHORT, f"outputs={tmp_path}", "stages=[evaluate]", f"checkpoint={checkpoint}")
     code, _, err = command(*again, "policy.encoder_width=64")
     assert code == 1
     assert err.startswith("policy.encoder_width must be 512 as in the checkpoint")
@@ -109,7 +122,7 @@ def test_evaluation_alone_from_a_checkpoint(outputs: Path, tmp_path: Path, comma
 
 def test_the_same_command_repeats_nothing(outputs: Path, command: Command) -> None:
     before = {path: path.stat().st_mtime_ns for path in only_run(outputs).glob("*.csv")}
-    code, out, err = command("+experiment=smoke", f"outputs={outputs}", "n_threads=1")
+    code, out, err = command(*SHORT, f"outputs={outputs}")
     assert code == 0, err
     for stage in ("train", "evaluate", "report"):
         assert re.search(rf"^{stage} +finished before", out, flags=re.MULTILINE)
@@ -120,7 +133,7 @@ def test_the_same_command_repeats_nothing(outputs: Path, command: Command) -> No
 
 @pytest.mark.slow
 def test_another_experiment_takes_the_training_over(outputs: Path) -> None:
-    arguments = ("+experiment=smoke", f"outputs={outputs}", "n_threads=1", "name=other", "stages=[train]")
+    arguments = (*SHORT, f"outputs={outputs}", "name=other", "stages=[train]")
     done = negopipe(*arguments, "evaluation.leading_setting=push")
     assert done.returncode == 0, done.stderr
     assert "taken over from" in done.stdout
@@ -139,9 +152,7 @@ def test_another_experiment_takes_the_training_over(outputs: Path) -> None:
 
 @pytest.mark.slow
 def test_any_episode_can_be_played_again(outputs: Path) -> None:
-    done = negopipe(
-        "+experiment=smoke", f"outputs={outputs}", "n_threads=1", "stages=[replay]", "episode=push/adaptive/2"
-    )
+    done = negopipe(*SHORT, f"outputs={outputs}", "stages=[replay]", "episode=push/adaptive/2")
     assert done.returncode == 0, done.stderr
     as_before = "as evaluated, to the last bit" if "simulator compiled" in done.stdout else "as evaluated"
     assert f"push/adaptive/2: {as_before}" in done.stdout
@@ -150,24 +161,18 @@ def test_any_episode_can_be_played_again(outputs: Path) -> None:
 
 
 def test_an_episode_that_was_not_evaluated_is_named(outputs: Path, command: Command) -> None:
-    where = ("+experiment=smoke", f"outputs={outputs}", "n_threads=1")
-    code, _, err = command(*where, "stages=[replay]", "episode=push/fixed_2/4")
+    code, _, err = command(*SHORT, f"outputs={outputs}", "stages=[replay]", "episode=push/fixed_6/4")
     assert code == 1
     (line,) = err.splitlines()
     assert "a setting of push, yield" in line
-    assert "a number below 4, got push/fixed_2/4" in line
+    assert "a number below 4, got push/fixed_6/4" in line
 
 
 @pytest.mark.slow
 def test_names_that_look_like_values_stay_names(outputs: Path, tmp_path: Path) -> None:
     short = {"kind": "fixed", "horizon_s": "0.0"}
     done = negopipe(
-        *(
-            "+experiment=smoke",
-            f"outputs={tmp_path}",
-            "n_threads=1",
-            f"checkpoint={only_run(outputs)}/checkpoint.safetensors",
-        ),
+        *(*SMOKE, f"outputs={tmp_path}", f"checkpoint={only_run(outputs)}/checkpoint.safetensors"),
         *(f"+scenario.families.{name}=${{scenario.families.push}}" for name in ("NA", "12")),
         *("evaluation/baseline=[]", *(f"+evaluation.baselines.nan.{key}={value}" for key, value in short.items())),
         *('evaluation.settings=[NA,"12"]', "evaluation.leading_setting=NA", 'report.side_by_side=["nan"]'),

@@ -21,7 +21,12 @@ SMALL = (
     "tracking.snapshot_period_s=1e-6",
     "scenario.episode_steps=20",  # so that episodes are cut off and start anew
 )
-KFAC = ("algorithm.kfac.statistics_interval=2", "algorithm.kfac.inverse_interval=3")
+KFAC = (
+    "policy.conv=[{channels: 4, kernel: 8, stride: 4}, {channels: 4, kernel: 4, stride: 2}]",
+    *("policy.encoder_width=16", "policy.head_widths=[8]"),
+    *("algorithm.kfac.statistics_interval=2", "algorithm.kfac.inverse_interval=3"),
+)
+"""A small network, whose factors are inverted quickly."""
 OTHERS = {"acktr_adam": KFAC, "a2c": (), "ppo": ("algorithm.n_epochs=2",)}
 EARLY = ("curriculum.advance={success_rate: 0.0, n_episodes: 3}", "scenario.episode_steps=7")
 """Stages end when three episodes are over."""

@@ -207,7 +207,7 @@ def test_a_forked_process_drives_although_its_parent_has_threads() -> None:
 
 
 @pytest.mark.usefixtures("_threads_have_started")
-@pytest.mark.parametrize("context", ["fork", "spawn"])
+@pytest.mark.parametrize("context", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
 def test_asynchronous_environments_drive(context: str) -> None:
     envs = gymnasium.make_vec(ENV_ID, num_envs=2, vectorization_mode="async", vector_kwargs={"context": context})
     first, _ = envs.reset(seed=1)
@@ -234,6 +234,7 @@ print(int(next(iter(loader)).count_nonzero()))
 """
 
 
+@pytest.mark.slow
 def test_workers_of_a_data_loader_drive() -> None:
     """In a process of its own: the loader's handler of SIGCHLD would stay in this one."""
     loaded = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, timeout=120, check=True)

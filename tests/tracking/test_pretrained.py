@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from composed import compose_config
 
-from negopipe.config.compose import compose_config
 from negopipe.errors import UserError
 from negopipe.tracking import pretrained
 from negopipe.tracking.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint

@@ -6,9 +6,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+from composed import compose_config
 from test_resume import SMALL, drive
 
-from negopipe.config.compose import compose_config
 from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
 from negopipe.evaluation.held_out import held_out_tasks
@@ -16,7 +16,7 @@ from negopipe.game.game import Game, build_game
 from negopipe.search import oracle
 from negopipe.training.demonstration_search import demonstrated_tasks, demonstrations
 
-SHOWN = "curriculum.demonstrations={n_tasks: 3, population: 2, rounds: 2, n_decisions: 16, weight: 1.0, until: 0.6}"
+SHOWN = "curriculum.demonstrations={n_tasks: 3, population: 2, rounds: 1, n_decisions: 16, weight: 1.0, until: 0.6}"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -28,7 +28,7 @@ def few_switches() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def shown_config() -> RunConfig:
-    return compose_config(["+experiment=yield", SHOWN])
+    return compose_config(["+experiment=yield", "scenario.episode_steps=72", SHOWN])
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_its_tasks_are_training_tasks_and_not_held_out(shown_config: RunConfig, 
 
 @pytest.mark.slow
 def test_a_training_that_is_shown_something_resumes(tmp_path: Path) -> None:
-    few = SHOWN.replace("n_tasks: 3", "n_tasks: 1").replace("rounds: 2", "rounds: 1")
+    few = SHOWN.replace("n_tasks: 3", "n_tasks: 1")
     whole, killed = (drive(tmp_path / f"{len(d)}", few, deaths=d) for d in ((), (2,)))
     assert killed[0] == whole[0]
     pd.testing.assert_frame_equal(killed[1], whole[1], check_exact=True)

@@ -10,6 +10,7 @@ from negopipe.training.lost_shares import LEAST_LOST, LostShares
 from negopipe.training.training import Training
 
 SMALL = ["+experiment=smoke", "device=cpu", "compile='off'", "scenario=random_streets", "scenario.streets.n_training=3",
+         "scenario.streets.n_held_out=1", "policy.encoder_width=16",
          "population/driver=[planner,give_way]", "scenario.episode_steps=12"]  # fmt: skip
 
 
