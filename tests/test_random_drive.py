@@ -28,7 +28,10 @@ STREETS = (
 )
 LEAST_STREETS = 1000
 """Streets that the drives on drawn streets must be on, of 100,000 decisions and more."""
-TRAFFIC = ("scenario.n_followers=1", "scenario/kind=[small_car,car,van,bus,cyclist]", "perception.occlusion=true")
+TRAFFIC = (
+    *("population=mixed", "planner=traffic", "policy=cnn_inf"),
+    *("scenario.n_followers=1", "scenario/kind=[small_car,car,van,bus,cyclist]", "perception.occlusion=true"),
+)
 WIDTHS = (
     "scenario.road.width_changes=[{start_m:[-50.0,-40.0],length_m:[6.0,15.0],width_m:[5.5,9.0]},"
     "{start_m:[16.0,25.0],length_m:[6.0,15.0],width_m:[5.5,9.0]}]"
@@ -44,7 +47,7 @@ N_STEPS = -(-N_DECISIONS // N_WORLDS)
         (),
         MIXED,
         (*STREETS, *MIXED),
-        (*TRAFFIC, "scenario.n_social=2", *MIXED),
+        (*TRAFFIC, "scenario.n_social=2"),
     ],
     ids=["default", "mixed", "streets", "traffic"],
 )
@@ -54,7 +57,7 @@ def test_the_world_stays_sound(options: tuple[str, ...]) -> None:
 
 
 def test_a_little_traffic_stays_sound() -> None:
-    drive_at_random((*TRAFFIC, *MIXED, "scenario.episode_steps=40"), 24, 45, is_compiled=False)
+    drive_at_random((*TRAFFIC, "scenario.episode_steps=40"), 24, 45, is_compiled=False)
 
 
 def test_a_few_streets_of_changing_width_stay_sound() -> None:

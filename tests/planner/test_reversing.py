@@ -179,9 +179,11 @@ def test_options_act(option: str) -> None:
     assert float((driven_on() - driven_on(f"planner.reversing.{option}")).abs().max()) > 0.01
 
 
-def test_random_drives_stay_sound() -> None:
+@pytest.mark.parametrize("makes_room", ["false", "true"])
+def test_random_drives_stay_sound(makes_room: str) -> None:
     """Random horizons from wide starts: finite, within the limits, and nobody reverses into anybody."""
-    config, game = built("scenario.n_social=3", "scenario.social_spacing_m=7.0")
+    room = f"planner.reversing.makes_room={makes_room}"
+    config, game = built("scenario.n_social=3", "scenario.social_spacing_m=7.0", room)
     n, draws = 16, torch.Generator().manual_seed(3)
     world, horizons = game.simulator.reset(draw_tasks(config, n)), torch.tensor([0.0, 2.0, 4.0, 6.0, INF])
     kept, n_backwards, horizon = torch.zeros(n, dtype=torch.bool), 0, torch.zeros(n, 4)
@@ -221,7 +223,8 @@ def hits_behind(config: RunConfig, before: VehicleState, after: VehicleState) ->
 def test_who_stands_behind_one_that_has_to_drive_back_drives_back_first(makes_room: bool) -> None:
     """Nose to nose, the ego has two close behind it, which predict little."""
     config, game = built("scenario.n_followers=2", f"planner.reversing.makes_room={makes_room}".lower())
-    worlds = drive(game, stand(config, game, [[3.0, 3.5, -3.0, -9.0]]), torch.tensor([[6.0, 2.0, 2.0, 0.0]]), 170)
+    n_steps = 120 if makes_room else 20
+    worlds = drive(game, stand(config, game, [[3.0, 3.5, -3.0, -9.0]]), torch.tensor([[6.0, 2.0, 2.0, 0.0]]), n_steps)
     s, speed = progress(game, worlds)[:, 0], torch.stack([world.vehicles.speed[0] for world in worlds])
     assert not worlds[-1].has_collided.any()
     assert bool(worlds[-1].has_reached[0, 1]) == makes_room
