@@ -14,6 +14,8 @@ import numpy as np
 from negopipe.checks import N_COPIES
 from negopipe.errors import UserError
 
+TRACES_NAME = "traces.npz"
+"""File of the traces in a run folder."""
 OUTCOMES = ("success", "collision", "deadlock", "timeout", "social_collision")
 """Names of `Trace.outcome`. A deadlock is a truncation with the vehicles at rest nose to nose, a timeout any other
 truncation. A collision involves the ego. A social collision involves social vehicles only, whatever the ego did."""

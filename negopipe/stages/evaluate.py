@@ -18,7 +18,7 @@ from negopipe.evaluation.comparison import regret, versus_adaptive
 from negopipe.evaluation.episodes import drive_episodes, warm_up
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME, Drives, episodes
 from negopipe.evaluation.held_out import held_out_tasks
-from negopipe.evaluation.trace import ADAPTIVE, ORACLE, Trace, save_traces
+from negopipe.evaluation.trace import ADAPTIVE, ORACLE, TRACES_NAME, Trace, save_traces
 from negopipe.game.game import Game
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.report.description import log_summary
@@ -63,7 +63,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     tables, traces = zip(*(driven for driven in done if driven is not None), strict=True)
     table = pd.concat(tables, ignore_index=True)
     write_csv(tracked.folder / EPISODES_NAME, table, EPISODES)
-    save_traces(tracked.folder / "traces.npz", list(traces))
+    save_traces(tracked.folder / TRACES_NAME, list(traces))
     results = results_of(table)
     summary = {"evaluation": results["evaluation"]}
     tracked.update_metrics_json(results)

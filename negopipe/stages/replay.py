@@ -17,7 +17,7 @@ from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.horizon_text import from_text
 from negopipe.evaluation.recorded_drive import commonroad_scenario
 from negopipe.evaluation.replay import PolicyTrace, record_policy, replay
-from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, Trace, load_traces
+from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, TRACES_NAME, Trace, load_traces
 from negopipe.game.game import Game, build_game
 from negopipe.report import animation
 from negopipe.report.scene import scene_of
@@ -152,7 +152,7 @@ def _check_same(config: "RunConfig", folder: Path, which: EpisodeId, row: pd.Ser
         if driven[name] != stored[name]:
             said = f"{name} {driven[name]} for {stored[name]}"
             raise UserError(f"episode {config.episode} must be as evaluated, got {said}")
-    kept = [t for t in load_traces(folder / "traces.npz") if (t.setting, t.planner) == (which.setting, which.planner)]
+    kept = [t for t in load_traces(folder / TRACES_NAME) if (t.setting, t.planner) == (which.setting, which.planner)]
     is_kept = is_exact and bool(kept) and which.episode < len(kept[0].n_steps)
     if is_kept:
         _check_bits(config, which, kept[0], trace)

@@ -12,7 +12,7 @@ from negopipe.evaluation.claims import judge_claims
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.replay import PolicyTrace, record_policy
-from negopipe.evaluation.trace import ADAPTIVE, Trace, load_traces
+from negopipe.evaluation.trace import ADAPTIVE, TRACES_NAME, Trace, load_traces
 from negopipe.report.captions import WATCH
 from negopipe.report.headlines import headlines
 from negopipe.report.page import Results, Section, build_page, chapters, settings_in_order
@@ -56,7 +56,7 @@ def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     metrics = read_metrics(tracked.folder)
     settings = settings_in_order(metrics["evaluation"], config.evaluation.leading_setting)
     shown = [ADAPTIVE, *config.report.side_by_side]
-    traces = by_setting(load_traces(tracked.folder / "traces.npz"), settings, shown)
+    traces = by_setting(load_traces(tracked.folder / TRACES_NAME), settings, shown)
     table = in_order(read_csv(tracked.folder / EPISODES_NAME, EPISODES, EPISODES.columns), settings)
     planners = list(table["planner"].unique())
     results = Results(*({setting: pick(metrics[part][setting], planners) for setting in settings} for part in RESULTS))

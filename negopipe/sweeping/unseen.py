@@ -16,7 +16,7 @@ from negopipe.errors import UserError
 from negopipe.evaluation import measures
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.statistics import mean_difference
-from negopipe.evaluation.trace import ADAPTIVE, load_traces
+from negopipe.evaluation.trace import ADAPTIVE, TRACES_NAME, load_traces
 from negopipe.report.captions import FAILED, caption
 from negopipe.report.case_figures import MAPS, case_map
 from negopipe.report.figures import render
@@ -32,7 +32,6 @@ from negopipe.tracking.whole_file import write_whole
 
 COMMAND = "python -m negopipe.sweeping.unseen"
 SUITE = "unseen-v1"
-TRACES_NAME = "traces.npz"
 REFERENCE = "cautious"
 """Planner that all others are compared with, task by task."""
 RANDOM_SEED = 0

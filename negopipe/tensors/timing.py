@@ -9,11 +9,11 @@ import torch
 
 def block_seconds(call: Callable[[], Any], n_calls: int, device: torch.device) -> float:
     """Duration of `n_calls` calls, until the device has finished them, s."""
-    finish(device)
+    _finish(device)
     start_s = time.perf_counter()
     for _ in range(n_calls):
         call()
-    finish(device)
+    _finish(device)
     return time.perf_counter() - start_s
 
 
@@ -28,17 +28,17 @@ class Stopwatch:
         call = getattr(owner, method)
 
         def timed(*arguments: Any) -> Any:
-            finish(device)
+            _finish(device)
             start_s = time.perf_counter()
             result = call(*arguments)
-            finish(device)
+            _finish(device)
             self.seconds += time.perf_counter() - start_s
             return result
 
         setattr(owner, method, timed)
 
 
-def finish(device: torch.device) -> None:
+def _finish(device: torch.device) -> None:
     """Wait until the device has done what was asked of it."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
