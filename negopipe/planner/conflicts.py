@@ -17,6 +17,7 @@ from negopipe.simulation.geometry import Boxes, overlap_depth
 from negopipe.simulation.road import Road
 from negopipe.simulation.sizes import Sizes
 from negopipe.tensors.materialize import materialize
+from negopipe.tensors.sparse import SparseFunction
 
 
 class Blocked(NamedTuple):
@@ -37,21 +38,14 @@ class Blocked(NamedTuple):
         return torch.where(self.last > 0, self.first, torch.inf).amin((1, 2)).amax(0)
 
 
-class _Footprints(NamedTuple):
-    """Predicted footprints with their clearances, in the viewer's route frame; fields [O, T, N], m and 1."""
-
-    s: Tensor
-    d: Tensor
-    tan_heading: Tensor
-    half_length: Tensor
-    half_width: Tensor
-
-
 class ConflictCheck:
     """Check of L paths against O predicted vehicles at T times; axes as in `frenet.py`.
 
+    Only what is predicted within the prediction horizon of a vehicle that is seen is checked.
+
     around: [K] m, places around a predicted vehicle, evenly spread over the distances at which two footprints with
         their clearances can touch at all
+    slacks_m: depths of overlap that are let pass, each of which gives a stretch that is blocked
     """
 
     def __init__(
@@ -65,45 +59,62 @@ class ConflictCheck:
         self.clearance, self.road, self.lateral = config.clearance, road, lateral
         reach = config.touching_m(sizes.largest)
         self.around = torch.linspace(-reach, reach, config.n_around(sizes.largest)).to(device)
+        self.slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
+        self._ends = SparseFunction(self._ends_of, 2 * len(self.slacks_m) * lateral.n_candidates)
 
-    def depth(
-        self, now: Situation, coefficients: tuple[Tensor, ...], predicted: PredictedPath
-    ) -> tuple[Tensor, Tensor]:
-        """Depth of overlap [L, K, O, T, N] (m) at the places around predicted vehicles, and the distances travelled
-        [K, O, T, N] (m) to the places.
+    def blocked(
+        self, now: Situation, coefficients: tuple[Tensor, ...], predicted: PredictedPath, is_considered: Tensor
+    ) -> list[Blocked]:
+        """What the predicted vehicles block, for each of the slacks.
+
+        is_considered: [O, T, N] bool, the other is seen and the time lies within the prediction horizon
         """
-        size, other = now.size, self._footprints(now, predicted)
-        around = self.around[:, None, None, None]  # [K, O, T, N]
-        at = other.s - now.route.s + around
-        d, d_prime, _ = self.lateral.follow(coefficients, now.route.s, now.direction, at)
-        u, v, tan_heading = self.road.in_tangent_frame(other.s, now.direction, around, d, d_prime)  # [L, K, O, T, N]
-        cos, other_cos = torch.rsqrt(1 + tan_heading**2), torch.rsqrt(1 + other.tan_heading**2)
-        own = Boxes(u, v, cos, tan_heading * cos, size.length / 2, size.width / 2)
-        x, sin = torch.zeros_like(other.d), other.tan_heading * other_cos
-        other_box = Boxes(x, other.d, other_cos, sin, other.half_length, other.half_width)
-        return overlap_depth(own, other_box), at
+        size = (torch.as_tensor(each, device=self.around.device).expand_as(now.route.s) for each in now.size)
+        of_vehicles = torch.stack([now.route.s, now.direction, *size, *(c for each in coefficients for c in each)])
+        of_pairs = torch.stack(self._footprints(now, predicted))
+        ends = self._ends(is_considered, of_vehicles, of_pairs).unflatten(0, (2, len(self.slacks_m), -1))
+        first = torch.where(is_considered, ends[0], torch.inf)
+        last = torch.where(is_considered, ends[1], -torch.inf)
+        return [Blocked(*each) for each in zip(first, last, strict=True)]
 
-    def _footprints(self, now: Situation, predicted: PredictedPath) -> "_Footprints":
+    def _footprints(self, now: Situation, predicted: PredictedPath) -> tuple[Tensor, ...]:
+        """Predicted footprints with their clearances, in the viewer's route frame; fields [O, T, N].
+
+        s, d (m), cosine and sine of the heading, half of the length and of the width (m)
+        """
         size, clearance = now.others.size_at_times, self.clearance
         half_length = size.length / 2 + clearance.ahead_m
         half_width = size.width / 2 + clearance.beside_m + clearance.beside_s * now.others.speed.abs()[:, None]
-        fields = (*predicted, half_length, half_width)
-        like = predicted.s
-        stored = (each.expand_as(like) if isinstance(each, Tensor) else torch.full_like(like, each) for each in fields)
-        return _Footprints(*materialize(*stored))  # the innermost loop reads them
+        s, d, tan_heading = predicted
+        cos = torch.rsqrt(1 + tan_heading**2)
+        fields = (s, d, cos, tan_heading * cos, half_length, half_width)
+        stored = (each.expand_as(s) if isinstance(each, Tensor) else torch.full_like(s, each) for each in fields)
+        return materialize(*stored)  # the innermost loop reads them
 
-    def blocked(self, depth: Tensor, at: Tensor, is_considered: Tensor) -> Blocked:
-        """Stretch that is blocked by depths and distances of `depth`.
+    def _ends_of(self, of_vehicles: Tensor, of_pairs: Tensor) -> Tensor:
+        """First and last blocked distance travelled (m) by slack and path, of vehicles [A, ...] and pairs [B, ...]."""
+        route_s, direction, length, width = of_vehicles[:4]
+        coefficients = of_vehicles[4:].unflatten(0, (-1, self.lateral.n_candidates)).unbind(0)
+        s, d, cos, sin, half_length, half_width = of_pairs
+        around = self.around.reshape(-1, *[1] * s.dim())  # [K, ...]
+        at = s - route_s + around
+        own_d, d_prime, _ = self.lateral.follow(coefficients, route_s, direction, at)
+        u, v, tan_heading = self.road.in_tangent_frame(s, direction, around, own_d, d_prime)  # [L, K, ...]
+        own_cos = torch.rsqrt(1 + tan_heading**2)
+        own = Boxes(u, v, own_cos, tan_heading * own_cos, length / 2, width / 2)
+        depth = overlap_depth(own, Boxes(torch.zeros_like(d), d, cos, sin, half_length, half_width))
+        ends = [self._stretch(depth - slack, at) for slack in self.slacks_m]
+        return torch.cat([*(first for first, _ in ends), *(last for _, last in ends)])
+
+    def _stretch(self, depth: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
+        """First and last blocked distance travelled [L, ...] (m), by the depths [L, K, ...] at the distances [K, ...].
 
         The depth changes by about one metre per metre at most, so a path is free for x metres from a place with depth
         -x. The stretch begins and ends there.
-
-        is_considered: [O, T, N] bool, the other is seen and the time lies within the prediction horizon
         """
         before, after = depth[:, :-1], depth[:, 1:]
         step = self.around[1] - self.around[0]
         entered = at[:-1] + torch.minimum((-before).clamp(min=0), step)
         left = at[1:] - torch.minimum((-after).clamp(min=0), step)
-        first = torch.where(is_considered, torch.where(after > 0, entered, torch.inf), torch.inf).amin(1)
-        last = torch.where(is_considered, torch.where(before > 0, left, -torch.inf), -torch.inf).amax(1)
-        return Blocked(first, last)
+        first = torch.where(after > 0, entered, torch.inf).amin(1)
+        return first, torch.where(before > 0, left, -torch.inf).amax(1)

@@ -106,7 +106,6 @@ class FrenetPlanner:
         self.stations = torch.arange(1, config.n_stations + 1, device=device) * config.clearance.station_m
         self.roadside = Roadside(road, sizes, _parked_clearance(config.clearance, self.stations))
         self.give_way, self.reversing, self.lingering = self._rules(device)
-        self._slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
         self.conflicts = ConflictCheck(config, road, sizes, self.lateral, device)
 
     def _rules(self, device: torch.device | str) -> tuple[GiveWay | None, Reversing | None, Lingering | None]:
@@ -201,8 +200,7 @@ class FrenetPlanner:
             seconds = predicted_s(self.config.leader_horizon_s, now)
         is_predicted = self.times[:, None] <= seconds[:, None] + self.dt_s / 2
         is_considered = is_predicted & now.others.is_seen[:, None]  # [O, T, N]
-        depth, at = self.conflicts.depth(now, paths.coefficients, predicted)
-        return [self.conflicts.blocked(depth - slack, at, is_considered) for slack in self._slacks_m]
+        return self.conflicts.blocked(now, paths.coefficients, predicted, is_considered)
 
     def _rule(self, now: Situation) -> "_Rule | None":
         """The rule of giving way, for those whose horizon is infinite; None where the planner has none."""

@@ -44,7 +44,7 @@ def check(planner: FrenetPlanner, x: Situation) -> Checked:
     paths = planner._paths(x)
     predicted = predict(planner.config.prediction, planner.road, x.others, x.direction, planner.times)
     counts = (planner.times[:, None] <= x.horizon + planner.dt_s / 2)[None]
-    blocked = planner.conflicts.blocked(*planner.conflicts.depth(x, paths.coefficients, predicted), counts)
+    blocked = planner.conflicts.blocked(x, paths.coefficients, predicted, counts)[0]
     is_drivable = planner._is_drivable(samples, paths)
     is_forward = (samples.speed.amin(1) >= -0.05).expand_as(is_drivable)
     return Checked(

@@ -42,7 +42,7 @@ def test_no_candidate_meets_a_footprint_of_another_size(game: Game) -> None:
     samples, paths = planner.longitudinal.sample(x.route, x.desired_speed), planner._paths(x)
     predicted = predict(planner.config.prediction, planner.road, x.others, x.direction, planner.times)
     counts = (planner.times[:, None] <= x.horizon + planner.dt_s / 2)[None]
-    blocked = planner.conflicts.blocked(*planner.conflicts.depth(x, paths.coefficients, predicted), counts)
+    blocked = planner.conflicts.blocked(x, paths.coefficients, predicted, counts)[0]
     depth = directly(planner, x, samples.travelled, paths.coefficients, own, other).masked_fill(~counts[0], -99).amax(2)
     is_forward = (samples.speed.amin(1) >= -0.05).expand(depth.shape)
     is_met, is_conflict = (depth > 0.05) & is_forward, blocked.holds_up(samples.travelled)

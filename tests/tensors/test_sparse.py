@@ -1,0 +1,75 @@
+import gc
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from negopipe.tensors import sparse
+from negopipe.tensors.sparse import SparseFunction
+
+
+def shares(of_owners: Tensor, of_items: Tensor) -> Tensor:
+    """Two results per item: its number as a share of its owner's, and its square root."""
+    return torch.stack([of_items[0] / of_owners[1], torch.rsqrt(of_items[0])])
+
+
+def draw(n_items: int, n_owners: int, share: float) -> tuple[Tensor, Tensor, Tensor]:
+    g = torch.Generator().manual_seed(n_items)
+    counts = torch.rand(n_items, n_owners, generator=g) < share
+    return counts, torch.rand(2, n_owners, generator=g), torch.rand(1, n_items, n_owners, generator=g)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_items_that_count_get_what_the_function_gives_for_all(share: float) -> None:
+    counts, owners, items = draw(40, 33, share)
+    results = SparseFunction(shares, 2)(counts, owners, items)
+    whole = shares(owners[:, None], items)
+    assert results.shape == whole.shape
+    assert torch.equal(results[:, counts], whole[:, counts])
+
+
+def test_nothing_is_computed_for_the_others() -> None:
+    computed: list[int] = []
+
+    def fn(of_owners: Tensor, of_items: Tensor) -> Tensor:
+        computed.append(of_items.shape[1])
+        return shares(of_owners, of_items)
+
+    function = SparseFunction(fn, 2)
+    for share in (0.0, 0.3):
+        counts, owners, items = draw(40, 33, share)
+        function(counts, owners, items)
+    assert computed == [int(counts.sum())]
+
+
+def test_an_exported_program_computes_all_items(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts, owners, items = draw(7, 5, 0.3)
+    monkeypatch.setattr(torch.compiler, "is_exporting", lambda: True)
+    assert torch.equal(SparseFunction(shares, 2)(counts, owners, items), shares(owners[:, None], items))
+
+
+def test_keys_are_given_again() -> None:
+    """A key is part of compiled code, which is found again on the disk only under the same one."""
+    gc.collect()
+    first = SparseFunction(shares, 2)
+    key, second = first._key, SparseFunction(shares, 2)
+    assert key != second._key
+    del first
+    gc.collect()
+    assert SparseFunction(shares, 2)._key == key
+
+
+@pytest.mark.slow
+def test_compiled_code_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In chunks of one size, whichever items count: the same code object serves all calls."""
+    monkeypatch.setattr(sparse, "CHUNK", 64)
+    function = SparseFunction(shares, 2)
+
+    def around(counts: Tensor, owners: Tensor, items: Tensor) -> Tensor:
+        return torch.where(counts, function(counts, owners, items), 0.0)
+
+    compiled: Callable[..., Tensor] = torch.compile(around, dynamic=False)
+    for share in (0.3, 0.0, 1.0, 0.01):
+        given = draw(40, 33, share)
+        assert torch.equal(compiled(*given), around(*given))
