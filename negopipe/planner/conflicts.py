@@ -4,6 +4,7 @@ Every path is compared with every predicted footprint at a few places around it.
 stretch of the path that is blocked, so a candidate is checked by comparing its distances travelled with the stretch.
 """
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -60,7 +61,8 @@ class ConflictCheck:
         reach = config.touching_m(sizes.largest)
         self.around = torch.linspace(-reach, reach, config.n_around(sizes.largest)).to(device)
         self.slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
-        self._ends = SparseFunction(self._ends_of, 2 * len(self.slacks_m) * lateral.n_candidates)
+        n_stretches = len(self.slacks_m) * lateral.n_candidates
+        self._ends = SparseFunction(self._ends_of, n_stretches * [math.inf] + n_stretches * [-math.inf])
 
     def blocked(
         self, now: Situation, coefficients: tuple[Tensor, ...], predicted: PredictedPath, is_considered: Tensor
@@ -72,9 +74,7 @@ class ConflictCheck:
         size = (torch.as_tensor(each, device=self.around.device).expand_as(now.route.s) for each in now.size)
         of_vehicles = torch.stack([now.route.s, now.direction, *size, *(c for each in coefficients for c in each)])
         of_pairs = torch.stack(self._footprints(now, predicted))
-        ends = self._ends(is_considered, of_vehicles, of_pairs).unflatten(0, (2, len(self.slacks_m), -1))
-        first = torch.where(is_considered, ends[0], torch.inf)
-        last = torch.where(is_considered, ends[1], -torch.inf)
+        first, last = self._ends(is_considered, of_vehicles, of_pairs).unflatten(0, (2, len(self.slacks_m), -1))
         return [Blocked(*each) for each in zip(first, last, strict=True)]
 
     def _footprints(self, now: Situation, predicted: PredictedPath) -> tuple[Tensor, ...]:

@@ -6,13 +6,12 @@ which computes them in chunks of one size by a function that is compiled apart. 
 all items.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from weakref import WeakValueDictionary
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from negopipe.tensors.compiled import compiled
 
@@ -24,46 +23,47 @@ class SparseFunction:
     """Function `fn` of items that each belong to one of N owners.
 
     fn: [A, ..., M], of the items' owners, and [B, ..., M], of the items -> [n_results, ..., M]; item by item
+    otherwise: n_results numbers, the results of an item that does not count
     """
 
-    def __init__(self, fn: Callable[[Tensor, Tensor], Tensor], n_results: int) -> None:
-        self.fn, self.n_results = fn, n_results
+    def __init__(self, fn: Callable[[Tensor, Tensor], Tensor], otherwise: Sequence[float]) -> None:
+        self.fn, self.otherwise = fn, tuple(otherwise)
         self._key = next(key for key in range(len(_FUNCTIONS) + 1) if key not in _FUNCTIONS)
         _FUNCTIONS[self._key] = self
 
     def __call__(self, counts: Tensor, of_owners: Tensor, of_items: Tensor) -> Tensor:
-        """Results [n_results, ..., N] of the items that count; the others' numbers mean nothing.
+        """Results [n_results, ..., N].
 
         counts: [..., N] bool; of_owners: [A, N]; of_items: [B, ..., N]
         """
         if counts.is_cuda or torch.compiler.is_exporting():
-            return self.fn(of_owners.reshape(len(of_owners), *[1] * (counts.dim() - 1), -1), of_items)
+            results = self.fn(of_owners.reshape(len(of_owners), *[1] * (counts.dim() - 1), -1), of_items)
+            return torch.where(counts, results, self._otherwise(counts))
         if torch.compiler.is_compiling():
-            return torch.ops.negopipe.counting(self._key, self.n_results, counts, of_owners, of_items)
-        return self.counting(counts, of_owners, of_items, lambda owners, items: self.fn(owners, items))
+            return torch.ops.negopipe.counting(self._key, len(self.otherwise), counts, of_owners, of_items)
+        return self.counting(counts, of_owners, of_items, self.fn, None)
 
-    def counting(self, counts: Tensor, of_owners: Tensor, of_items: Tensor, fn: Callable) -> Tensor:
-        """As a call, with `fn` for items that are picked out."""
+    def counting(
+        self, counts: Tensor, of_owners: Tensor, of_items: Tensor, fn: Callable[..., Tensor], chunk: int | None
+    ) -> Tensor:
+        """As a call, with `fn` for the items that count, in chunks of a size or all at once."""
+        results = self._otherwise(counts).repeat(1, *counts.shape).flatten(1)
         at = counts.flatten().nonzero()[:, 0]
-        whole = of_items.new_zeros(self.n_results, counts.numel())
-        if len(at):
-            whole[:, at] = fn(of_owners[:, at % counts.shape[-1]], of_items.flatten(1)[:, at])
-        return whole.unflatten(1, counts.shape)
+        if chunk and len(at):
+            at = torch.cat([at, at[-1:].expand(-len(at) % chunk)])  # the last item again and again, with one result
+        for part in at.split(chunk or len(at)) if len(at) else ():
+            owner = part % counts.shape[-1]
+            own, its = of_owners.index_select(1, owner), of_items.flatten(1).index_select(1, part)
+            results.index_copy_(1, part, fn(own, its))
+        return results.unflatten(1, counts.shape)
 
-    def in_chunks(self, of_owners: Tensor, of_items: Tensor) -> Tensor:
-        """[n_results, M] of items [A, M] and [B, M], by compiled code."""
-        n_items = of_owners.shape[1]
-        missing = -n_items % CHUNK
-        owners, items = (pad(rows, (0, missing), mode="replicate") for rows in (of_owners, of_items))
-        pieces = [
-            self._compiled(owners[:, i : i + CHUNK].contiguous(), items[:, i : i + CHUNK].contiguous())
-            for i in range(0, n_items, CHUNK)
-        ]
-        return torch.cat(pieces, dim=1)[:, :n_items]
+    def _otherwise(self, counts: Tensor) -> Tensor:
+        return torch.tensor(self.otherwise, device=counts.device).reshape(-1, *[1] * counts.dim())
 
     @cached_property
-    def _compiled(self) -> Callable[[Tensor, Tensor], Tensor]:
-        return compiled(lambda owners, items: self.fn(owners, items))
+    def compiled(self) -> Callable[[Tensor, Tensor], Tensor]:
+        """`fn` for a chunk of items."""
+        return compiled(lambda own, its: self.fn(own, its))
 
 
 _FUNCTIONS: "WeakValueDictionary[int, SparseFunction]" = WeakValueDictionary()
@@ -72,7 +72,7 @@ _FUNCTIONS: "WeakValueDictionary[int, SparseFunction]" = WeakValueDictionary()
 @torch.library.custom_op("negopipe::counting", mutates_args=())
 def _counting(key: int, n_results: int, counts: Tensor, of_owners: Tensor, of_items: Tensor) -> Tensor:
     function = _FUNCTIONS[key]
-    return function.counting(counts, of_owners, of_items, function.in_chunks)
+    return function.counting(counts, of_owners, of_items, function.compiled, CHUNK)
 
 
 @_counting.register_fake

@@ -8,6 +8,8 @@ from torch import Tensor
 from negopipe.tensors import sparse
 from negopipe.tensors.sparse import SparseFunction
 
+OTHERWISE = (7.0, -torch.inf)
+
 
 def shares(of_owners: Tensor, of_items: Tensor) -> Tensor:
     """Two results per item: its number as a share of its owner's, and its square root."""
@@ -23,10 +25,11 @@ def draw(n_items: int, n_owners: int, share: float) -> tuple[Tensor, Tensor, Ten
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_items_that_count_get_what_the_function_gives_for_all(share: float) -> None:
     counts, owners, items = draw(40, 33, share)
-    results = SparseFunction(shares, 2)(counts, owners, items)
+    results = SparseFunction(shares, OTHERWISE)(counts, owners, items)
     whole = shares(owners[:, None], items)
     assert results.shape == whole.shape
     assert torch.equal(results[:, counts], whole[:, counts])
+    assert torch.equal(results[:, ~counts], torch.tensor(OTHERWISE)[:, None].expand(-1, int((~counts).sum())))
 
 
 def test_nothing_is_computed_for_the_others() -> None:
@@ -36,35 +39,37 @@ def test_nothing_is_computed_for_the_others() -> None:
         computed.append(of_items.shape[1])
         return shares(of_owners, of_items)
 
-    function = SparseFunction(fn, 2)
+    function = SparseFunction(fn, OTHERWISE)
     for share in (0.0, 0.3):
         counts, owners, items = draw(40, 33, share)
         function(counts, owners, items)
     assert computed == [int(counts.sum())]
 
 
-def test_an_exported_program_computes_all_items(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exported_program_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     counts, owners, items = draw(7, 5, 0.3)
+    function = SparseFunction(shares, OTHERWISE)
+    picked = function(counts, owners, items)
     monkeypatch.setattr(torch.compiler, "is_exporting", lambda: True)
-    assert torch.equal(SparseFunction(shares, 2)(counts, owners, items), shares(owners[:, None], items))
+    assert torch.equal(function(counts, owners, items), picked)
 
 
 def test_keys_are_given_again() -> None:
     """A key is part of compiled code, which is found again on the disk only under the same one."""
     gc.collect()
-    first = SparseFunction(shares, 2)
-    key, second = first._key, SparseFunction(shares, 2)
+    first = SparseFunction(shares, OTHERWISE)
+    key, second = first._key, SparseFunction(shares, OTHERWISE)
     assert key != second._key
     del first
     gc.collect()
-    assert SparseFunction(shares, 2)._key == key
+    assert SparseFunction(shares, OTHERWISE)._key == key
 
 
 @pytest.mark.slow
 def test_compiled_code_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     """In chunks of one size, whichever items count: the same code object serves all calls."""
     monkeypatch.setattr(sparse, "CHUNK", 64)
-    function = SparseFunction(shares, 2)
+    function = SparseFunction(shares, OTHERWISE)
 
     def around(counts: Tensor, owners: Tensor, items: Tensor) -> Tensor:
         return torch.where(counts, function(counts, owners, items), 0.0)
