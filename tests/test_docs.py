@@ -155,7 +155,7 @@ def test_the_site_is_built(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert {"index.html", "extending.html"} <= {path.name for path in tmp_path.glob("*.html")}
-    assert "wider input factors" in (tmp_path / "reference" / "configuration.html").read_text(encoding="utf-8")
+    assert "widest input factor" in (tmp_path / "reference" / "configuration.html").read_text(encoding="utf-8")
     assert "Fisher matrix" in (tmp_path / "reference" / "learning.html").read_text(encoding="utf-8")
 
 

@@ -117,10 +117,7 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
 
     def advance(world: World, horizon: Tensor) -> tuple[World, Events, Tensor]:
         moved, events = drive(world, horizon)
-        return moved, events, see(moved)
-
-    def see(world: World) -> Tensor:
-        return observation.draw(sensor.perceive(world).of(EGO))
+        return moved, events, observation.draw(sensor.perceive(moved).of(EGO))
 
     def watch(shown: Observation) -> Callable[[World, Tensor], Tensor]:
         return accelerate(lambda world, vehicle: shown.draw(sensor.perceive(world).of_each(vehicle)))
