@@ -2,7 +2,8 @@
 
 The count covers the planner and the grids, fused into one pass: operations on single numbers, and those bytes that must
 be read or written between two decisions. The network and the trackers are not part of it, nor is the arithmetic of an
-observation of objects, which is little.
+observation of objects, which is little. Every predicted time of every other vehicle is counted. A CPU skips those that
+do not count in a plan (`tensors/sparse.py`), so with short horizons it may exceed the limit.
 """
 
 from dataclasses import dataclass

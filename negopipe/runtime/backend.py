@@ -45,7 +45,8 @@ def resolve_auto(config: "RunConfig", folder: Path) -> "RunConfig":
         n_threads=chosen["n_threads"] if config.n_threads == "auto" else config.n_threads,
     )
     _check(settled)
-    made = "recorded as CUDA graphs" if settled.device == "cuda" else "compiled (the first step takes up to a minute)"
+    compiled = "compiled (the first step takes one to five minutes)"
+    made = "recorded as CUDA graphs" if settled.device == "cuda" else compiled
     how = made if settled.compile == "on" else "not compiled"
     since = ", as when the run began" if kept else ""
     log.info(f"backend    {settled.device}, {settled.n_threads} threads, simulator {how}{since}")
