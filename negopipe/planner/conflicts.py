@@ -61,8 +61,8 @@ class ConflictCheck:
         reach = config.touching_m(sizes.largest)
         self.around = torch.linspace(-reach, reach, config.n_around(sizes.largest)).to(device)
         self.slacks_m = (0.0, config.braking.slack_m) if config.braking.n_candidates else (0.0,)
-        n_stretches = len(self.slacks_m) * lateral.n_candidates
-        self._ends = SparseFunction(self._ends_of, n_stretches * [math.inf] + n_stretches * [-math.inf])
+        nothing = torch.tensor([math.inf, -math.inf], device=device)  # is blocked
+        self._ends = SparseFunction(self._ends_of, nothing.repeat_interleave(len(self.slacks_m) * lateral.n_candidates))
 
     def blocked(
         self, now: Situation, coefficients: tuple[Tensor, ...], predicted: PredictedPath, is_considered: Tensor
@@ -71,7 +71,7 @@ class ConflictCheck:
 
         is_considered: [O, T, N] bool, the other is seen and the time lies within the prediction horizon
         """
-        size = (torch.as_tensor(each, device=self.around.device).expand_as(now.route.s) for each in now.size)
+        size = _like(now.route.s, *now.size)
         of_vehicles = torch.stack([now.route.s, now.direction, *size, *(c for each in coefficients for c in each)])
         of_pairs = torch.stack(self._footprints(now, predicted))
         first, last = self._ends(is_considered, of_vehicles, of_pairs).unflatten(0, (2, len(self.slacks_m), -1))
@@ -88,8 +88,7 @@ class ConflictCheck:
         s, d, tan_heading = predicted
         cos = torch.rsqrt(1 + tan_heading**2)
         fields = (s, d, cos, tan_heading * cos, half_length, half_width)
-        stored = (each.expand_as(s) if isinstance(each, Tensor) else torch.full_like(s, each) for each in fields)
-        return materialize(*stored)  # the innermost loop reads them
+        return materialize(*_like(s, *fields))  # the innermost loop reads them
 
     def _ends_of(self, of_vehicles: Tensor, of_pairs: Tensor) -> Tensor:
         """First and last blocked distance travelled (m) by slack and path, of vehicles [A, ...] and pairs [B, ...]."""
@@ -118,3 +117,10 @@ class ConflictCheck:
         left = at[1:] - torch.minimum((-after).clamp(min=0), step)
         first = torch.where(after > 0, entered, torch.inf).amin(1)
         return first, torch.where(before > 0, left, -torch.inf).amax(1)
+
+
+def _like(example: Tensor, *values: Tensor | float) -> tuple[Tensor, ...]:
+    """Values in the shape of an example; none is sent to a GPU, which a CUDA graph could not record."""
+    return tuple(
+        each.expand_as(example) if isinstance(each, Tensor) else torch.full_like(example, each) for each in values
+    )

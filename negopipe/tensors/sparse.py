@@ -6,7 +6,7 @@ which computes them in chunks of one size by a function that is compiled apart. 
 all items.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
 from weakref import WeakValueDictionary
 
@@ -23,11 +23,11 @@ class SparseFunction:
     """Function `fn` of items that each belong to one of N owners.
 
     fn: [A, ..., M], of the items' owners, and [B, ..., M], of the items -> [n_results, ..., M]; item by item
-    otherwise: n_results numbers, the results of an item that does not count
+    otherwise: [n_results] float32, the results of an item that does not count
     """
 
-    def __init__(self, fn: Callable[[Tensor, Tensor], Tensor], otherwise: Sequence[float]) -> None:
-        self.fn, self.otherwise = fn, tuple(otherwise)
+    def __init__(self, fn: Callable[[Tensor, Tensor], Tensor], otherwise: Tensor) -> None:
+        self.fn, self.otherwise = fn, otherwise
         self._key = next(key for key in range(len(_FUNCTIONS) + 1) if key not in _FUNCTIONS)
         _FUNCTIONS[self._key] = self
 
@@ -38,7 +38,7 @@ class SparseFunction:
         """
         if counts.is_cuda or torch.compiler.is_exporting():
             results = self.fn(of_owners.reshape(len(of_owners), *[1] * (counts.dim() - 1), -1), of_items)
-            return torch.where(counts, results, self._otherwise(counts))
+            return torch.where(counts, results, self.otherwise.reshape(-1, *[1] * counts.dim()))
         if torch.compiler.is_compiling():
             return torch.ops.negopipe.counting(self._key, len(self.otherwise), counts, of_owners, of_items)
         return self.counting(counts, of_owners, of_items, self.fn, None)
@@ -47,7 +47,7 @@ class SparseFunction:
         self, counts: Tensor, of_owners: Tensor, of_items: Tensor, fn: Callable[..., Tensor], chunk: int | None
     ) -> Tensor:
         """As a call, with `fn` for the items that count, in chunks of a size or all at once."""
-        results = self._otherwise(counts).repeat(1, *counts.shape).flatten(1)
+        results = self.otherwise[:, None].repeat(1, counts.numel())
         at = counts.flatten().nonzero()[:, 0]
         if chunk and len(at):
             at = torch.cat([at, at[-1:].expand(-len(at) % chunk)])  # the last item again and again, with one result
@@ -56,9 +56,6 @@ class SparseFunction:
             own, its = of_owners.index_select(1, owner), of_items.flatten(1).index_select(1, part)
             results.index_copy_(1, part, fn(own, its))
         return results.unflatten(1, counts.shape)
-
-    def _otherwise(self, counts: Tensor) -> Tensor:
-        return torch.tensor(self.otherwise, device=counts.device).reshape(-1, *[1] * counts.dim())
 
     @cached_property
     def compiled(self) -> Callable[[Tensor, Tensor], Tensor]:

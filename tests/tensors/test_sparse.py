@@ -8,7 +8,7 @@ from torch import Tensor
 from negopipe.tensors import sparse
 from negopipe.tensors.sparse import SparseFunction
 
-OTHERWISE = (7.0, -torch.inf)
+OTHERWISE = torch.tensor([7.0, -torch.inf])
 
 
 def shares(of_owners: Tensor, of_items: Tensor) -> Tensor:
@@ -29,7 +29,7 @@ def test_items_that_count_get_what_the_function_gives_for_all(share: float) -> N
     whole = shares(owners[:, None], items)
     assert results.shape == whole.shape
     assert torch.equal(results[:, counts], whole[:, counts])
-    assert torch.equal(results[:, ~counts], torch.tensor(OTHERWISE)[:, None].expand(-1, int((~counts).sum())))
+    assert torch.equal(results[:, ~counts], OTHERWISE[:, None].expand(-1, int((~counts).sum())))
 
 
 def test_nothing_is_computed_for_the_others() -> None:
