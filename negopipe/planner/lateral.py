@@ -65,10 +65,11 @@ class LateralCandidates:
     ) -> PathPoint:
         """Points of the paths at a distance along the road, fields [L, ..., N].
 
-        start_s, direction: [N] m, +-1; travelled: [..., N] m, the same for all paths
+        coefficients: each [L, N], or with axes of length 1 between; start_s, direction: alike, m, +-1
+        travelled: [..., N] m, the same for all paths
         """
-        extra = travelled.dim() - 1
-        columns = tuple(c.reshape(c.shape[0], *[1] * extra, c.shape[1]) for c in coefficients)
+        extra = travelled.dim() + 1 - coefficients[0].dim()
+        columns = tuple(c.reshape(len(c), *[1] * extra, *c.shape[1:]) for c in coefficients)
         length = self.length.reshape(-1, *[1] * travelled.dim())
         d, d_prime, d_pprime = evaluate(columns, torch.minimum(travelled.clamp(min=0), length))
         route_d, route_d_prime, route_d_pprime = self.road.route_offset(start_s + travelled, direction)

@@ -1,0 +1,144 @@
+"""Ablation of the generalist, a part left out at a time: python jobs/ablation_generalist.py train|drive <folder> ...
+
+`train` trains every variant with every seed, `--at-once` of them side by side, and writes <variant>-<seed>.safetensors
+and its learning curve. `drive` drives each through cases of unseen-v1 and writes a table. Both leave out what is
+there already. A variant drives with what it was trained with. Overrides apply to every training, such as device=cuda.
+
+The cases were chosen before any variant was trained: two per group of unseen-v1, one of the two mixed ones.
+"""
+
+import argparse
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+from time import monotonic
+
+import pandas as pd
+
+from negopipe import load_config
+from negopipe.config.root import RunConfig
+from negopipe.evaluation.held_out import held_out_tasks
+from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES
+from negopipe.runtime.backend import prepare
+from negopipe.runtime.build import build, load_weights, save_policy
+from negopipe.stages.evaluate import jobs_of
+from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
+from negopipe.training.training import Training
+
+NOT_SELF = ("any_horizon", "undecided", "late", "cautious")
+AGENT: dict[str, tuple[str, ...]] = {
+    "without_inf": ("policy.horizons_s=[0.0,2.0,4.0,6.0]",),
+    "without_reversing": ("planner=consistent_stops",),
+    "grids": ("observation=occupancy_grid", "policy=cnn_inf"),
+    "memory_1.6s": ("observation.n_frames=3", "observation.frame_interval_s=0.8"),  # a slow driver needs 1.6 s
+    "memory_2s": ("observation.n_frames=3",),
+}
+"""Variant -> overrides that it is trained and driven with."""
+TRAINING: dict[str, tuple[str, ...]] = {
+    "as_shipped": (),
+    "without_self_play": ("population.drivers.self.weight=0", "population.drivers.league.weight=0"),
+    "self_play_alone": tuple(f"population.drivers.{name}.weight=0" for name in NOT_SELF),
+    "one_street": ("scenario=narrow_lane",),
+}
+"""Variant -> overrides that it is trained with alone."""
+VARIANTS = (*TRAINING, *AGENT)
+CASES = (
+    *("driver_idm", "driver_distracted", "sensor_noisy", "sensor_occlusion", "start_fast", "start_standing"),
+    *("street_long", "street_sharp_bend", "traffic_follower", "traffic_three", "vehicle_bus", "vehicle_cyclist"),
+    "mixed_tight_bus",
+)
+SAVED_EVERY = 10
+"""Iterations after which the policy as it is is written beside, for who is stopped by a time limit."""
+TABLE = CsvKind(
+    "jobs/ablation_generalist.py",
+    {"variant": str, "case": str, "seed": int, "n_iterations": int, "n_episodes": int, "*": float},
+)
+
+
+def train(folder: Path, variant: str, seed: int, n_iterations: int, overrides: Sequence[str]) -> str:
+    """Train one variant with one seed, unless its file is there; returns a line about it."""
+    path, began = folder / f"{variant}-{seed}.safetensors", monotonic()
+    if path.exists():
+        return f"{path.name} is there"
+    length = f"curriculum.stages.0.n_iterations={n_iterations}"
+    own = (*TRAINING.get(variant, ()), *AGENT.get(variant, ()), length)
+    fixed = (f"seed={seed}", "n_threads=1", "device=cpu", "compile=on")
+    config = load_config("+experiment=generalist", *fixed, *own, *overrides)
+    prepare(config)
+    training = Training(config)
+    while training.n_done < training.n_total:
+        row = training.iterate()
+        print(f"{variant}-{seed} {monotonic() - began:.0f} s {training.n_done} {training.curve.text(row)}", flush=True)
+        if training.n_done % SAVED_EVERY == 0:
+            save_policy(path.with_suffix(".unfinished"), training.policy, config, row["decisions"])
+    training.curve.write(folder / f"{variant}-{seed}")
+    save_policy(path, training.policy, config, training.curve.rows[-1]["decisions"])
+    path.with_suffix(".unfinished").unlink(missing_ok=True)
+    return f"{path.name} after {monotonic() - began:.0f} s"
+
+
+def drive(folder: Path, variant: str, seed: int, n_tasks: int, case: str) -> str:
+    """Drive one trained variant through a case, unless its piece is there; returns a line about it."""
+    piece = folder / f"{variant}-{seed}.{case}.{n_tasks}.csv"
+    if piece.exists():
+        return f"{piece.name} is there"
+    checkpoint = folder / f"{variant}-{seed}.safetensors"
+    shares = _driven(_unseen(variant, case, n_tasks), checkpoint)
+    write_csv(piece, pd.DataFrame([{"variant": variant, "seed": seed, "case": case} | shares]), TABLE)
+    return f"{piece.name} {100 * shares['success']:.0f} % success"
+
+
+def _unseen(variant: str, case: str, n_tasks: int) -> RunConfig:
+    own = ("evaluation/baseline=[]", f"evaluation.n_episodes={n_tasks}", "n_threads=1", "device=cpu")
+    return load_config("+experiment=unseen", f"+unseen={case}", *own, *AGENT.get(variant, ()))
+
+
+def _driven(config: RunConfig, checkpoint: Path) -> dict[str, float]:
+    """Shares of the outcomes of the first tasks."""
+    prepare(config)
+    game, policy = build(config)
+    load_weights(checkpoint, policy, config)
+    setting = config.evaluation.leading_setting
+    driven = jobs_of(config, game, policy, {setting: held_out_tasks(config, game, setting)})[setting, ADAPTIVE]()
+    assert driven is not None  # None is for an oracle that does not fit
+    table, _ = driven
+    shares = {outcome: float((table["outcome"] == outcome).mean()) for outcome in OUTCOMES}
+    return {"n_episodes": len(table)} | shares | {"driving_time_s": round(float(table["driving_time_s"].mean()), 2)}
+
+
+def in_processes(work: Callable[..., str], arguments: Iterable[tuple], at_once: int) -> None:
+    """Call `work` and print what it returns or why it failed; a new process for each, which frees its GPU memory."""
+    context = get_context("spawn")
+    with ProcessPoolExecutor(at_once, context, max_tasks_per_child=1) as pool:
+        calls = {pool.submit(work, *given): given for given in arguments}
+        for done in as_completed(calls):
+            error = done.exception()
+            print(done.result() if error is None else f"{calls[done]}: {error}", flush=True)
+
+
+def main(args: argparse.Namespace) -> None:
+    args.folder.mkdir(parents=True, exist_ok=True)
+    which = [(args.folder, variant, seed) for seed, variant in product(args.seeds, args.variants)]
+    if args.what == "train":
+        in_processes(train, [(*each, args.iterations, args.overrides) for each in which], args.at_once)
+    else:
+        in_processes(drive, [(*each, args.tasks, case) for each, case in product(which, args.cases)], args.at_once)
+        pieces = pd.concat([read_csv(path, TABLE) for path in sorted(args.folder.glob("*-*.*.csv"))])
+        write_csv(args.table, pieces.sort_values(["variant", "seed", "case"]), TABLE)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("train", "drive"))
+    parser.add_argument("folder", type=Path, help="folder of the policies and pieces")
+    parser.add_argument("--table", type=Path, default=Path("ablation_generalist.csv"), help="file of the table")
+    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
+    parser.add_argument("--cases", nargs="+", default=list(CASES))
+    parser.add_argument("--iterations", type=int, default=60, help="of a training, of 16,384 decisions")
+    parser.add_argument("--tasks", type=int, default=50, help="tasks of a case, the first of its 500")
+    parser.add_argument("--at-once", type=int, default=2, help="processes side by side")
+    parser.add_argument("--overrides", nargs="*", default=[], help="of the trainings' configs, such as device=cuda")
+    main(parser.parse_args())
