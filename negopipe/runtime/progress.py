@@ -14,11 +14,11 @@ class ProgressLine:
     """Context manager that shows the progress of `n_total` steps, of which `n_done` were done before.
 
     On a terminal it is a bar with the latest text and the time left, in a log file a line of these every 20 s. The time
-    left is that at the pace since the line before, so that a slow first step, which compiles, soon counts no more.
+    left is that at the pace since the line before. The first step compiles, so its pace says nothing.
     """
 
     def __init__(self, title: str, n_total: int, n_done: int = 0) -> None:
-        self.title, self.n_total, self.n_done, self._n_said = title, n_total, n_done, n_done
+        self.title, self.n_total, self.n_done, self._n_first = title, n_total, n_done, n_done + 1
         console = Console()
         self._is_live = console.is_terminal
         self._bar = Progress(
@@ -32,7 +32,7 @@ class ProgressLine:
             disable=not self._is_live,
         )
         self._task = self._bar.add_task(title, total=n_total, completed=n_done, text="")
-        self._said_s = time.monotonic()
+        self._said_s, self._n_said = time.monotonic(), n_done
 
     def advance(self, text: str, n: int = 1) -> None:
         """Count `n` more steps and show `text` beside the bar."""
@@ -42,8 +42,9 @@ class ProgressLine:
         is_due = now_s - self._said_s >= LINE_INTERVAL_S or self.n_done >= self.n_total
         if not self._is_live and is_due:
             left_s = (now_s - self._said_s) / (self.n_done - self._n_said) * (self.n_total - self.n_done)
+            left = f"{left_s:.0f} s" if self.n_done > self._n_first or left_s == 0 else "?"
+            print(f"{self.title} {self.n_done / self.n_total:4.0%}  {text}  left {left}", flush=True)
             self._said_s, self._n_said = now_s, self.n_done
-            print(f"{self.title} {self.n_done / self.n_total:4.0%}  {text}  left {left_s:.0f} s", flush=True)
 
     def __enter__(self) -> "ProgressLine":
         self._bar.start()
