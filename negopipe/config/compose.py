@@ -45,6 +45,8 @@ def compose_config(overrides: Sequence[str] = ()) -> RunConfig:
             composed = _loader().load_configuration("config", list(overrides), RunMode.RUN, from_shell=False)
     except (HydraException, OmegaConfBaseException, YAMLError) as error:
         raise UserError(explain_composition(error)) from error
+    except ValueError as error:  # Hydra's check of the options of groups, which names none
+        raise UserError(f"{error}, got {' '.join(overrides)}") from error
     return load(_without_hydra(composed))
 
 

@@ -10,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field, TypeAdapter, ValidationError
 
+from negopipe import CONF
 from negopipe.agents.population import PopulationConfig
 from negopipe.benchmark.speed import BenchmarkConfig
 from negopipe.checks import Foresight, Memory, Problem
@@ -117,6 +118,7 @@ def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
             raise UserError(problem)
         if old_names := renamings(values):
             raise UserError("; ".join(old_names))
+        _drop_weights_alone(values)
         config = TypeAdapter(RunConfig).validate_json(json.dumps(values), strict=True)
     except OmegaConfBaseException as error:
         raise UserError(explain_composition(error)) from error
@@ -124,6 +126,14 @@ def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
         raise UserError(explain_validation(error, RunConfig, typed)) from error
     check_components(config)
     return config
+
+
+def _drop_weights_alone(values: Any) -> None:
+    """Leave out the drivers of a population of which only a weight is left, since `population/driver` names others."""
+    drivers = (values.get("population") or {}).get("drivers") or {}
+    for name in [name for name, driver in drivers.items() if isinstance(driver, dict) and [*driver] == ["weight"]]:
+        if (CONF / "population" / "driver" / f"{name}.yaml").is_file():
+            del drivers[name]
 
 
 def as_mapping(config: RunConfig) -> dict[str, Any]:

@@ -245,11 +245,17 @@ def test_sampled_choices_depend_on_task_step_and_vehicle_alone() -> None:
     assert torch.equal(game.choose(part, torch.zeros(4)), first[5:9])
 
 
+def test_a_list_of_drivers_leaves_out_the_weights_of_others() -> None:
+    config = load_config("+experiment=generalist", "population/driver=[any_horizon,self]")
+    assert {name: each.weight for name, each in config.population.drivers.items()} == {"any_horizon": 3.0, "self": 3.0}
+
+
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [
         (("population/driver=[nobody]",), "population/driver"),
         (("population.drivers.planner.weight=0",), "drivers must have a weight above 0 in all, got planner 0"),
+        (("+population.drivers.nobody.weight=1",), "population.drivers.nobody.driver is missing"),
         (("population.drivers.planner.weight=-1",), "population.drivers.planner.weight"),
         (("population.drivers.planner.driver.horizons_s=[1.3]",), "must be a multiple of"),
         (("population.drivers.planner.driver.horizons_s=[8]",), "at most planner.horizon_s = 6.0"),

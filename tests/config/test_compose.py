@@ -109,7 +109,7 @@ def test_threads_compose_at_the_same_time() -> None:
 
 
 @pytest.mark.parametrize(
-    "override", ["scenario.n_socials=2", "planner=none", "text", "seed=1,2", "+experiment=none", "a={"]
+    "override", ["scenario.n_socials=2", "planner=none", "planner=null", "text", "seed=1,2", "+experiment=none", "a={"]
 )
 def test_what_cannot_be_composed_is_one_line(override: str) -> None:
     with pytest.raises(UserError, match=r"^[^\n]+$"):
