@@ -152,3 +152,15 @@ def test_the_model_of_many_ranks_is_made_of_the_measured_rows() -> None:
     network = job.Network(latency_s=1e-3, bytes_per_s=1e6)
     assert job.all_reduce_s(1e6, 2, network) == pytest.approx(2e-3 + 1.0)
     assert job.all_gather_s(1e6, 4, network) == pytest.approx(2e-3 + 3.0)
+
+
+@pytest.mark.slow
+def test_ablation_trains_and_drives_a_variant_once(tmp_path: Path) -> None:
+    job = load_script("ablation_generalist")
+    few = ["compile=off", "algorithm.n_worlds=4", "algorithm.n_steps=2"]
+    assert job.train(tmp_path, "one_street", 1, 2, few).startswith("one_street-1.safetensors after")
+    assert job.train(tmp_path, "one_street", 1, 2, few) == "one_street-1.safetensors is there"
+    assert job.drive(tmp_path, "one_street", 1, 2, "driver_idm").endswith("% success")
+    [row] = read_csv(tmp_path / "one_street-1.driver_idm.2.csv", job.TABLE).to_dict("records")
+    assert (row["variant"], row["case"], row["n_episodes"]) == ("one_street", "driver_idm", 2)
+    assert row["success"] + sum(row[each] for each in ("collision", "deadlock", "timeout", "social_collision")) == 1
