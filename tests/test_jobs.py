@@ -164,3 +164,25 @@ def test_ablation_trains_and_drives_a_variant_once(tmp_path: Path) -> None:
     [row] = read_csv(tmp_path / "one_street-1.driver_idm.2.csv", job.TABLE).to_dict("records")
     assert (row["variant"], row["case"], row["n_episodes"]) == ("one_street", "driver_idm", 2)
     assert row["success"] + sum(row[each] for each in ("collision", "deadlock", "timeout", "social_collision")) == 1
+
+
+@pytest.mark.slow
+def test_attainable_is_what_a_planner_or_a_sequence_solves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = load_script("attainable")
+    solved = pd.DataFrame([[True, False, False], [True, True, None]], index=["driver_idm", "street_wide"])
+    monkeypatch.setattr(job, "solved", lambda outputs: solved)
+    monkeypatch.setattr(job, "sequences", lambda n_actions, n_steps: [torch.full((1, n_steps), n_actions - 1)])
+    job.main(tmp_path / "table.csv", [])
+    idm, wide = read_csv(tmp_path / "table.csv", job.TABLE).to_dict("records")
+    assert (idm["n_tasks"], idm["n_solved"]) == (3, 1)
+    assert idm["n_found"] == 2 - len(idm["not_found"].split())
+    assert idm["attainable"] == pytest.approx((1 + idm["n_found"]) / 3, abs=1e-4)
+    assert (wide["n_tasks"], wide["n_solved"], wide["attainable"]) == (2, 2, 1.0)
+
+
+def test_sequences_have_a_switch_at_most() -> None:
+    first, *later = load_script("attainable").sequences(3, 60)
+    assert first.tolist() == [[0] * 60, [1] * 60, [2] * 60]
+    for actions in later:
+        assert actions.shape == (6, 60)
+        assert ((actions.diff(dim=1) != 0).sum(1) == 1).all()
