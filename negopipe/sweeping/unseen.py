@@ -39,7 +39,8 @@ RANDOM_SEED = 0
 FIGURES = (
     *("success_rate", "success_low", "success_high", "collision_rate", "collision_low", "collision_high"),
     *("avoidable_by_ego_rate", "avoidable_by_both_rate", "avoidable_by_social_rate", "deadlock_rate", "timeout_rate"),
-    *("driving_time_s", "reward", "smallest_gap_m", "smallest_ttc_s", "largest_decel_mps2", "full_braking_count"),
+    *("driving_time_s", "ego_first_rate", "reward"),
+    *("smallest_gap_m", "smallest_ttc_s", "largest_decel_mps2", "full_braking_count"),
 )
 """Measures of a planner in a case, in the order of the table."""
 ROWS = CsvKind(COMMAND, {"case": str, "planner": str, "n_episodes": int, "*": float}, "%.5g")

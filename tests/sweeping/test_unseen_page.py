@@ -25,7 +25,14 @@ OUTCOMES = {
 def episodes(outcomes: dict[str, list[str]]) -> pd.DataFrame:
     numbers = ("reward", "smallest_gap_m", "smallest_ttc_s", "largest_decel_mps2")
     rows = [
-        {"planner": planner, "setting": "mixture", "episode": i, "outcome": outcome, "avoidable_by": "none"}
+        {
+            "planner": planner,
+            "setting": "mixture",
+            "episode": i,
+            "outcome": outcome,
+            "avoidable_by": "none",
+            "passes_first": "ego",
+        }
         | {"driving_time_s": 10.0 + i if outcome == "success" else float("nan"), "full_braking_count": 0}
         | dict.fromkeys(numbers, 1.0)
         for planner, own in outcomes.items()
