@@ -45,13 +45,18 @@ FIGURES = (
 """Measures of a planner in a case, in the order of the table."""
 ROWS = CsvKind(COMMAND, {"case": str, "planner": str, "n_episodes": int, "*": float}, "%.5g")
 """unseen.csv."""
-MEANS = ("success_rate", "collision_rate", "deadlock_rate", "driving_time_s", "time_s_vs_cautious", "solved_by_any")
+MEANS = (
+    *("success_rate", "collision_rate", "avoidable_by_ego_rate", "avoidable_by_both_rate", "deadlock_rate"),
+    *("driving_time_s", "time_s_vs_cautious", "solved_by_any"),
+)
 OF_ALL = CsvKind(COMMAND, {"planner": str, "n_cases": int, "*": float}, "%.5g")
 """unseen_means.csv: means over the cases, each case alike."""
 OVERALL = (
     Column("success [%]", "success_rate", 100, 1, "max"),
     Column("least of a case [%]", "least_success", 100, 1, "max"),
     Column("collision [%]", "collision_rate", 100, 2, "min"),
+    Column("avoidable by the ego alone [%]", "avoidable_by_ego_rate", 100, 2, "min"),
+    Column("by either [%]", "avoidable_by_both_rate", 100, 2, "min"),
     Column("most of a case [%]", "most_collisions", 100, 1, "min"),
     Column("deadlock [%]", "deadlock_rate", 100, 2, "min"),
     Column("driving time [s]", "driving_time_s", 1, 2, "min"),
