@@ -32,7 +32,6 @@ AGENT: dict[str, tuple[str, ...]] = {
     "without_inf": ("policy.horizons_s=[0.0,2.0,4.0,6.0]",),
     "without_reversing": ("planner=consistent_stops",),
     "grids": ("observation=occupancy_grid", "policy=cnn_inf"),
-    "memory_1.6s": ("observation.n_frames=3", "observation.frame_interval_s=0.8"),  # a slow driver needs 1.6 s
     "memory_2s": ("observation.n_frames=3",),
 }
 """Variant -> overrides that it is trained and driven with."""
