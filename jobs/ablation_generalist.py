@@ -15,15 +15,23 @@ from multiprocessing import get_context
 from pathlib import Path
 from time import monotonic
 
+import numpy as np
 import pandas as pd
+import torch
+from torch import Tensor
 
 from negopipe import load_config
+from negopipe.agents.driver import HorizonDriver
+from negopipe.agents.horizon_drivers import adaptive_planner
 from negopipe.config.root import RunConfig
+from negopipe.evaluation.episodes import drive_episodes
 from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.evaluation.trace import ADAPTIVE, OUTCOMES
 from negopipe.runtime.backend import prepare
-from negopipe.runtime.build import build, load_weights, save_policy
-from negopipe.stages.evaluate import jobs_of
+from negopipe.runtime.build import game_of, load_policy, save_policy
+from negopipe.simulation.perception import Perception
+from negopipe.stages.evaluate import measure
+from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
 from negopipe.training.training import Training
 
@@ -78,15 +86,26 @@ def train(folder: Path, variant: str, seed: int, n_iterations: int, overrides: S
     return f"{path.name} after {monotonic() - began:.0f} s"
 
 
-def drive(folder: Path, variant: str, seed: int, n_tasks: int, case: str) -> str:
-    """Drive one trained variant through a case, unless its piece is there; returns a line about it."""
-    piece = folder / f"{variant}-{seed}.{case}.{n_tasks}.csv"
+def drive(folder: Path, variants: Sequence[str], seeds: Sequence[int], n_tasks: int, case: str) -> str:
+    """Drive trained variants of one agent through a case, unless its piece is there; returns a line about it.
+
+    All policies drive in one batch, since a step of few worlds costs hardly less than one of many.
+    """
+    piece = folder / f"{variants[0]}.{case}.{n_tasks}.csv"
     if piece.exists():
         return f"{piece.name} is there"
-    checkpoint = folder / f"{variant}-{seed}.safetensors"
-    shares = _driven(_unseen(variant, case, n_tasks), checkpoint)
-    write_csv(piece, pd.DataFrame([{"variant": variant, "seed": seed, "case": case} | shares]), TABLE)
-    return f"{piece.name} {100 * shares['success']:.0f} % success"
+    which = list(product(variants, seeds))
+    table = _driven(
+        _unseen(variants[0], case, n_tasks), [folder / f"{each}-{seed}.safetensors" for each, seed in which]
+    )
+    rows = []
+    for (variant, seed), (_, own) in zip(which, table.groupby(np.arange(len(table)) // n_tasks), strict=True):
+        shares = {outcome: float((own["outcome"] == outcome).mean()) for outcome in OUTCOMES}
+        time_s = round(float(own["driving_time_s"].mean()), 2)
+        row = {"variant": variant, "seed": seed, "case": case, "n_episodes": len(own), "driving_time_s": time_s}
+        rows.append(row | shares)
+    write_csv(piece, pd.DataFrame(rows), TABLE)
+    return f"{piece.name} {100 * (table['outcome'] == 'success').mean():.0f} % success"
 
 
 def _unseen(variant: str, case: str, n_tasks: int) -> RunConfig:
@@ -94,17 +113,33 @@ def _unseen(variant: str, case: str, n_tasks: int) -> RunConfig:
     return load_config("+experiment=unseen", f"+unseen={case}", *own, *AGENT.get(variant, ()))
 
 
-def _driven(config: RunConfig, checkpoint: Path) -> dict[str, float]:
-    """Shares of the outcomes of the first tasks."""
+def _driven(config: RunConfig, checkpoints: Sequence[Path]) -> pd.DataFrame:
+    """Rows of episodes.csv of the first tasks with the policy of each checkpoint, one policy after the other."""
     prepare(config)
-    game, policy = build(config)
-    load_weights(checkpoint, policy, config)
-    setting = config.evaluation.leading_setting
-    driven = jobs_of(config, game, policy, {setting: held_out_tasks(config, game, setting)})[setting, ADAPTIVE]()
-    assert driven is not None  # None is for an oracle that does not fit
-    table, _ = driven
-    shares = {outcome: float((table["outcome"] == outcome).mean()) for outcome in OUTCOMES}
-    return {"n_episodes": len(table)} | shares | {"driving_time_s": round(float(table["driving_time_s"].mean()), 2)}
+    game, setting, n = game_of(config), config.evaluation.leading_setting, len(checkpoints)
+    tasks = map_tensors(lambda field: torch.cat([field] * n), held_out_tasks(config, game, setting))
+    policies = [load_policy(path, config) for path in checkpoints]
+
+    def ego(key: Tensor) -> HorizonDriver:
+        choices = [
+            adaptive_planner(policy, game, config.policy.horizons_s, own)
+            for policy, own in zip(policies, key.chunk(n), strict=True)
+        ]
+
+        def choose(perception: Perception) -> Tensor:
+            size = len(key) // n
+            parts = [map_tensors(lambda f, i=i: f[i * size : (i + 1) * size], perception) for i in range(n)]
+            return torch.cat([choice(part) for choice, part in zip(choices, parts, strict=True)])
+
+        return HorizonDriver(choose, game.plan)
+
+    names, paid = (ADAPTIVE, setting), config.evaluation.reward
+    return measure(config, drive_episodes(game, ego, tasks, len(tasks), paid, names, is_lockstep=True))
+
+
+def by_agent(variants: Sequence[str]) -> list[list[str]]:
+    """The variants that drive with the same planner, observation and network."""
+    return [[each for each in variants if AGENT.get(each) == own] for own in dict.fromkeys(map(AGENT.get, variants))]
 
 
 def in_processes(work: Callable[..., str], arguments: Iterable[tuple], at_once: int) -> None:
@@ -119,13 +154,14 @@ def in_processes(work: Callable[..., str], arguments: Iterable[tuple], at_once: 
 
 def main(args: argparse.Namespace) -> None:
     args.folder.mkdir(parents=True, exist_ok=True)
-    which = [(args.folder, variant, seed) for seed, variant in product(args.seeds, args.variants)]
     if args.what == "train":
+        which = [(args.folder, variant, seed) for seed, variant in product(args.seeds, args.variants)]
         in_processes(train, [(*each, args.iterations, args.overrides) for each in which], args.at_once)
-    else:
-        in_processes(drive, [(*each, args.tasks, case) for each, case in product(which, args.cases)], args.at_once)
-        pieces = pd.concat([read_csv(path, TABLE) for path in sorted(args.folder.glob("*-*.*.csv"))])
-        write_csv(args.table, pieces.sort_values(["variant", "seed", "case"]), TABLE)
+        return
+    groups = product(args.cases, by_agent(args.variants))
+    in_processes(drive, [(args.folder, group, args.seeds, args.tasks, case) for case, group in groups], args.at_once)
+    pieces = pd.concat([read_csv(path, TABLE) for path in sorted(args.folder.glob("*.*.*.csv"))])
+    write_csv(args.table, pieces.sort_values(["variant", "seed", "case"]), TABLE)
 
 
 if __name__ == "__main__":
