@@ -160,8 +160,9 @@ def test_ablation_trains_and_drives_a_variant_once(tmp_path: Path) -> None:
     few = ["compile=off", "algorithm.n_worlds=4", "algorithm.n_steps=2"]
     assert job.train(tmp_path, "one_street", 1, 2, few).startswith("one_street-1.safetensors after")
     assert job.train(tmp_path, "one_street", 1, 2, few) == "one_street-1.safetensors is there"
-    assert job.drive(tmp_path, "one_street", 1, 2, "driver_idm").endswith("% success")
-    [row] = read_csv(tmp_path / "one_street-1.driver_idm.2.csv", job.TABLE).to_dict("records")
+    assert job.drive(tmp_path, ["one_street"], [1, 1], 2, "driver_idm").endswith("% success")
+    row, same = read_csv(tmp_path / "one_street.driver_idm.2.csv", job.TABLE).to_dict("records")
+    assert same == row
     assert (row["variant"], row["case"], row["n_episodes"]) == ("one_street", "driver_idm", 2)
     assert row["success"] + sum(row[each] for each in ("collision", "deadlock", "timeout", "social_collision")) == 1
 
@@ -186,3 +187,8 @@ def test_sequences_have_a_switch_at_most() -> None:
     for actions in later:
         assert actions.shape == (6, 60)
         assert ((actions.diff(dim=1) != 0).sum(1) == 1).all()
+
+
+def test_ablation_knows_who_drives_with_the_same_agent() -> None:
+    job = load_script("ablation_generalist")
+    assert job.by_agent(["as_shipped", "grids", "one_street"]) == [["as_shipped", "one_street"], ["grids"]]
