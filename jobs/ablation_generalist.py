@@ -62,6 +62,7 @@ TABLE = CsvKind(
     "jobs/ablation_generalist.py",
     {"variant": str, "case": str, "seed": int, "n_iterations": int, "n_episodes": int, "*": float},
 )
+MEANS = CsvKind("jobs/ablation_generalist.py", {"variant": str, "n_*": int, "*": float}, "%.4f")
 
 
 def train(folder: Path, variant: str, seed: int, n_iterations: int, overrides: Sequence[str]) -> str:
@@ -162,6 +163,16 @@ def main(args: argparse.Namespace) -> None:
     in_processes(drive, [(args.folder, group, args.seeds, args.tasks, case) for case, group in groups], args.at_once)
     pieces = pd.concat([read_csv(path, TABLE) for path in sorted(args.folder.glob("*.*.*.csv"))])
     write_csv(args.table, pieces.sort_values(["variant", "seed", "case"]), TABLE)
+    write_csv(args.table.with_stem(f"{args.table.stem}_means"), means(pieces), MEANS)
+
+
+def means(rows: pd.DataFrame) -> pd.DataFrame:
+    """Per variant, the means over cases and seeds, each alike, and the seeds with least and most success."""
+    of_seed = rows.groupby(["variant", "seed"])[["success", "collision", "deadlock", "driving_time_s"]].mean()
+    of_all = of_seed.groupby("variant")
+    success = of_all["success"].agg(success_low="min", success_high="max")
+    counts = rows.groupby("variant").agg(n_seeds=("seed", "nunique"), n_cases=("case", "nunique"))
+    return counts.join(of_all.mean()).join(success).sort_values("success", ascending=False).reset_index()
 
 
 if __name__ == "__main__":

@@ -192,3 +192,15 @@ def test_sequences_have_a_switch_at_most() -> None:
 def test_ablation_knows_who_drives_with_the_same_agent() -> None:
     job = load_script("ablation_generalist")
     assert job.by_agent(["as_shipped", "grids", "one_street"]) == [["as_shipped", "one_street"], ["grids"]]
+
+
+def test_ablation_means_count_cases_and_seeds_alike() -> None:
+    job = load_script("ablation_generalist")
+    rows = pd.DataFrame({"variant": ["a"] * 3 + ["b"], "seed": [1, 1, 2, 1], "case": ["x", "y", "x", "x"]})
+    rows = rows.assign(
+        success=[0.0, 0.5, 0.75, 0.75], collision=0.0, deadlock=0.25, driving_time_s=[10.0, 12.0, 13.0, 9.0]
+    )
+    first, second = job.means(rows).to_dict("records")
+    assert (first["variant"], first["success"], first["n_cases"], first["n_seeds"]) == ("b", 0.75, 1, 1)
+    assert (second["success"], second["success_low"], second["success_high"]) == (0.5, 0.25, 0.75)
+    assert second["driving_time_s"] == 12.0
