@@ -227,7 +227,7 @@ def main() -> None:
         write_csv(Path(given.more[0]), pd.DataFrame(model(read_csv(given.table, MEASURED))), MODELLED)
         return
     config = load_config(*SETTINGS, *given.more)
-    with connected(config.device) as ranks:
+    with connected(config) as ranks:
         backend.prepare(config)
         rows = measure(ranks, config)
         if ranks.is_first:

@@ -116,7 +116,7 @@ def pipeline(composed: DictConfig) -> float | None:
 def run_stages(composed: DictConfig) -> float | None:
     """Check the config and run its stages, or help the rank that does; returns the objective, None if there is none."""
     from negopipe.config.root import load
-    from negopipe.runtime.ranks import check, connected
+    from negopipe.runtime.ranks import connected
     from negopipe.tracking.checkpoint import find_checkpoint
 
     config = load(composed, HydraConfig.get().overrides.task)
@@ -125,8 +125,7 @@ def run_stages(composed: DictConfig) -> float | None:
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
         find_checkpoint(config.checkpoint, config)  # before a run is made that could only fail
-    check(config)
-    with connected(config.device) as ranks:
+    with connected(config) as ranks:
         if ranks.is_first:
             return _run(config, stages, ranks)
         importlib.import_module("negopipe.stages.train").follow(ranks)
@@ -138,7 +137,6 @@ def _run(config: "RunConfig", stages: list[ModuleType], ranks: "Ranks") -> float
     from negopipe.config.root import RESULT_NEUTRAL, as_mapping, run_name
     from negopipe.runtime import backend, network_choice
     from negopipe.runtime.identity import source_hash, stage_key
-    from negopipe.runtime.own_ranks import joined
     from negopipe.sweeping.objective import objective
     from negopipe.tracking.metrics_file import read
     from negopipe.tracking.run_folder import METRICS_NAME
@@ -167,11 +165,7 @@ def _run(config: "RunConfig", stages: list[ModuleType], ranks: "Ranks") -> float
             run.begin()
             if name == "train" and not config.rerun and take_over_training(config, run, key):
                 continue
-            if name == "train":
-                with joined(config, ranks) as (own, together):
-                    stage.run(own, run, together)
-            else:
-                stage.run(config, run)
+            stage.run(config, run, *([ranks] if name == "train" else []))
             run.mark_finished(name, key)
         if run.has_begun:
             run.offer_comparison_view(config.objective, RESULT_NEUTRAL)

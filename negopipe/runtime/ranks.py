@@ -1,4 +1,4 @@
-"""Processes of one run, as `torchrun` or `negopipe.runtime.own_ranks` starts them: gloo connects them, and NCCL GPUs.
+"""Processes of one run, as `torchrun` starts them: gloo connects them, and NCCL their GPUs.
 
     torchrun --nproc-per-node 2 -m negopipe +experiment=yield 'stages=[train]'
 
@@ -40,7 +40,7 @@ EXPLAIN_S = 1.0
 
 
 def n_started() -> int:
-    """Number of processes of this run; 1 where none has been started beside this one."""
+    """Number of processes of this run; 1 without `torchrun`."""
     return int(os.environ.get("WORLD_SIZE") or 1)
 
 
@@ -55,7 +55,7 @@ def is_first() -> bool:
 
 
 class Processes(ConnectedRanks):
-    """This process among those of a run; collectives of CPU tensors go through gloo, of CUDA tensors by NCCL.
+    """This process among those of `torchrun`; collectives of CPU tensors go through gloo, of CUDA tensors by NCCL.
 
     has_called: whether the first rank has said what the others do
     """
@@ -93,22 +93,20 @@ class Processes(ConnectedRanks):
 
 
 @contextmanager
-def connected(device: str) -> Iterator[Ranks]:
-    """Context with the ranks of this run; at its end the first one dismisses the others, if it has not called them.
-
-    device: of the config
-    """
+def connected(config: "RunConfig") -> Iterator[Ranks]:
+    """Context with the ranks of this run; at its end the first one dismisses the others, if it has not called them."""
     if n_started() == 1:
         yield ALONE
         return
-    ranks = _connect(device)
+    _check(config)
+    ranks = _connect(config.device)
     if not ranks.is_first:
         log.setLevel(logging.WARNING)
     try:
         yield ranks
     except BaseException as error:
         if not isinstance(error, LostRankError):
-            store().add("explained", 1)  # the others, which are about to lose this rank, need not say so
+            _store().add("explained", 1)  # the others, which are about to lose this rank, need not say so
         raise
     finally:
         if ranks.is_first and not ranks.has_called:
@@ -122,7 +120,7 @@ def says(line: str) -> bool:
     if n_started() == 1:
         return True
     try:
-        return store().add(hashlib.sha256(line.encode()).hexdigest(), 1) == 1
+        return _store().add(hashlib.sha256(line.encode()).hexdigest(), 1) == 1
     except RuntimeError:  # the store is gone with the first rank
         return True
 
@@ -131,7 +129,7 @@ def says_loss() -> bool:
     """Whether this rank is the one that says that another is lost: the first to notice, if no rank explains its end."""
     time.sleep(EXPLAIN_S)
     try:
-        return store().add("explained", 0) == 0 and store().add("lost", 1) == 1
+        return _store().add("explained", 0) == 0 and _store().add("lost", 1) == 1
     except RuntimeError:
         return True
 
@@ -151,7 +149,7 @@ def _connect(device: str) -> Processes:
     try:
         dist.init_process_group(
             "cpu:gloo,cuda:nccl" if has_gpu else "gloo",
-            store=store(),
+            store=_store(),
             rank=_own_number(),
             world_size=n_started(),
             timeout=PATIENCE,
@@ -163,8 +161,8 @@ def _connect(device: str) -> Processes:
 
 
 @cache
-def store() -> dist.Store:
-    """What the processes of this start know of each other; `torchrun` keeps it, otherwise the first rank does."""
+def _store() -> dist.Store:
+    """The store of this start of the processes; `torchrun` keeps it, otherwise the first rank does."""
     try:
         host, port = os.environ["MASTER_ADDR"], int(os.environ["MASTER_PORT"])
     except (KeyError, ValueError) as error:
@@ -175,8 +173,7 @@ def store() -> dist.Store:
     return dist.PrefixStore(f"negopipe/{os.environ.get('TORCHELASTIC_RESTART_COUNT', '0')}", store)
 
 
-def check(config: "RunConfig") -> None:
-    """UserError where a config gives too little work to the processes that were started."""
+def _check(config: "RunConfig") -> None:
     n_worlds = config.algorithm.n_worlds
     if "train" in config.stages and n_worlds < n_started():
         raise UserError(f"algorithm.n_worlds must be at least {n_started()}, one for each process, got {n_worlds}")

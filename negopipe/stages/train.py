@@ -2,7 +2,6 @@
 
 import logging
 import signal
-import sys
 import time
 from typing import TYPE_CHECKING, NoReturn
 
@@ -11,7 +10,6 @@ from negopipe.report.description import run_description
 from negopipe.runtime import backend
 from negopipe.runtime.build import save_policy
 from negopipe.runtime.interruption import DeferredInterrupt
-from negopipe.runtime.own_ranks import join
 from negopipe.runtime.progress import ProgressLine
 from negopipe.tensors.ranks import ALONE, Ranks
 from negopipe.tracking.checkpoint import CHECKPOINT_NAME
@@ -99,7 +97,3 @@ def _stop_at_last_good(config: "RunConfig", run: "TrackedRun", training: Trainin
         f"training diverge: {name} is not finite after iteration {training.n_done} of {training.n_total}; the "
         f"policy before it is kept in {path}"
     )
-
-
-if __name__ == "__main__":
-    sys.exit(join(follow))
