@@ -56,11 +56,9 @@ CASES = (
     *("street_long", "street_sharp_bend", "traffic_follower", "traffic_three", "vehicle_bus", "vehicle_cyclist"),
     "mixed_tight_bus",
 )
-SAVED_EVERY = 10
-"""Iterations after which the policy as it is is written beside, for who is stopped by a time limit."""
 TABLE = CsvKind(
     "jobs/ablation_generalist.py",
-    {"variant": str, "case": str, "seed": int, "n_iterations": int, "n_episodes": int, "*": float},
+    {"variant": str, "case": str, "seed": int, "n_episodes": int, "*": float},
 )
 MEANS = CsvKind("jobs/ablation_generalist.py", {"variant": str, "n_*": int, "*": float}, "%.4f")
 
@@ -79,11 +77,8 @@ def train(folder: Path, variant: str, seed: int, n_iterations: int, overrides: S
     while training.n_done < training.n_total:
         row = training.iterate()
         print(f"{variant}-{seed} {monotonic() - began:.0f} s {training.n_done} {training.curve.text(row)}", flush=True)
-        if training.n_done % SAVED_EVERY == 0:
-            save_policy(path.with_suffix(".unfinished"), training.policy, config, row["decisions"])
     training.curve.write(folder / f"{variant}-{seed}")
-    save_policy(path, training.policy, config, training.curve.rows[-1]["decisions"])
-    path.with_suffix(".unfinished").unlink(missing_ok=True)
+    save_policy(path, training.policy, config, row["decisions"])
     return f"{path.name} after {monotonic() - began:.0f} s"
 
 
@@ -144,13 +139,19 @@ def by_agent(variants: Sequence[str]) -> list[list[str]]:
 
 
 def in_processes(work: Callable[..., str], arguments: Iterable[tuple], at_once: int) -> None:
-    """Call `work` and print what it returns or why it failed; a new process for each, which frees its GPU memory."""
-    context = get_context("spawn")
+    """Call `work` and print what it returns or why it failed; a new process for each, which frees its GPU memory.
+
+    Ends the program with status 1 where a call has failed, once all others are done.
+    """
+    context, has_failed = get_context("spawn"), False
     with ProcessPoolExecutor(at_once, context, max_tasks_per_child=1) as pool:
         calls = {pool.submit(work, *given): given for given in arguments}
         for done in as_completed(calls):
             error = done.exception()
+            has_failed |= error is not None
             print(done.result() if error is None else f"{calls[done]}: {error}", flush=True)
+    if has_failed:
+        raise SystemExit(1)
 
 
 def main(args: argparse.Namespace) -> None:
@@ -181,9 +182,9 @@ if __name__ == "__main__":
     parser.add_argument("folder", type=Path, help="folder of the policies and pieces")
     parser.add_argument("--table", type=Path, default=Path("ablation_generalist.csv"), help="file of the table")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS))
-    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2])
     parser.add_argument("--cases", nargs="+", default=list(CASES))
-    parser.add_argument("--iterations", type=int, default=60, help="of a training, of 16,384 decisions")
+    parser.add_argument("--iterations", type=int, default=28, help="of a training, of 16,384 decisions")
     parser.add_argument("--tasks", type=int, default=50, help="tasks of a case, the first of its 500")
     parser.add_argument("--at-once", type=int, default=2, help="processes side by side")
     parser.add_argument("--overrides", nargs="*", default=[], help="of the trainings' configs, such as device=cuda")
