@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -35,14 +36,16 @@ def test_a_script_can_be_loaded(name: str) -> None:
     assert load_script(name).__doc__
 
 
-@pytest.mark.parametrize("path", WITH_REFERENCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_what_is_referred_to_is_there(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    assert {name for name in FILE.findall(text) if not (ROOT / name).exists()} == set()
-    experiments = set(re.findall(r"\+experiment=(\w+)", text))
-    assert {name for name in experiments if not (ROOT / "conf" / "experiment" / f"{name}.yaml").exists()} == set()
-    modules = set(re.findall(r"python -m (negopipe[\w.]*)", text))
-    assert {module for module in modules if importlib.util.find_spec(module) is None} == set()
+def test_what_is_referred_to_is_there() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in WITH_REFERENCES}
+
+    def missing(pattern: str | re.Pattern[str], is_there: Callable[[str], bool]) -> list[tuple[Path, str]]:
+        named = [(path, name) for path, text in texts.items() for name in set(re.findall(pattern, text))]
+        return [(path, name) for path, name in named if not is_there(name)]
+
+    assert not missing(FILE, lambda name: (ROOT / name).exists())
+    assert not missing(r"\+experiment=(\w+)", lambda name: (ROOT / "conf/experiment" / f"{name}.yaml").exists())
+    assert not missing(r"python -m (negopipe[\w.]*)", lambda name: importlib.util.find_spec(name) is not None)
 
 
 def test_every_script_has_its_row() -> None:
