@@ -18,6 +18,9 @@ from negopipe.config.messages import explain_composition
 from negopipe.config.root import RunConfig, load
 from negopipe.errors import UserError
 
+FEW_STREETS = ("scenario.streets.n_training=2", "scenario.streets.n_held_out=2")
+"""For configs that draw streets: drawing hundreds takes seconds."""
+
 
 @cache
 def composed(options: tuple[str, ...]) -> DictConfig:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from composed import compose_config
+from composed import FEW_STREETS, compose_config
 from documented import (
     PAGES,
     ROOT,
@@ -28,7 +28,6 @@ from negopipe.deployment import export
 DOCS = ROOT / "docs"
 EXTENSION = DOCS / "_ext"
 N_WORDS = 1200
-FEW_STREETS = ["scenario.streets.n_training=2", "scenario.streets.n_held_out=2"]
 FILE = re.compile(r"`((?:negopipe|conf|tests|jobs|examples)/[\w/.]+)`")
 TABLES = [(page, table) for page in PAGES for table in results(page)]
 PROGRAMS = [

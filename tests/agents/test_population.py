@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from composed import compose_config
+from composed import FEW_STREETS, compose_config
 from games import MIXTURE, draw_tasks
 from torch import Tensor
 
@@ -246,7 +246,7 @@ def test_sampled_choices_depend_on_task_step_and_vehicle_alone() -> None:
 
 
 def test_a_list_of_drivers_leaves_out_the_weights_of_others() -> None:
-    config = load_config("+experiment=generalist", "population/driver=[any_horizon,self]")
+    config = load_config("+experiment=generalist", "population/driver=[any_horizon,self]", *FEW_STREETS)
     assert {name: each.weight for name, each in config.population.drivers.items()} == {"any_horizon": 3.0, "self": 3.0}
 
 

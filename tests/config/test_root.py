@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from composed import compose_config
+from composed import FEW_STREETS, compose_config
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
@@ -22,7 +22,6 @@ from negopipe.errors import UserError
 ROOT = Path(__file__).parents[2]
 OF_A_MAP = {"lanelet2", "commonroad"}
 """Scenarios that need a file, see tests/simulation/test_map_road.py."""
-FEW_STREETS = ["scenario.streets.n_training=2", "scenario.streets.n_held_out=2"]
 OBJECTS = ["observation=objects", "policy=objects"]
 """Each of them fits the other only."""
 ALONE = {"experiment", "algorithm"}
@@ -56,7 +55,7 @@ def overrides_of(option: Path) -> list[str]:
     beside = ["report.side_by_side=[]"] if option.parent.name == "baseline" else []
     beside += ["planner=consistent_stops"] if option.name.endswith("_inf") else []
     beside += OBJECTS if option.name == "objects" else []
-    beside += FEW_STREETS if {"generalist", "streets"} & set(re.split(r"\W|_", option.name)) else []
+    beside += [*FEW_STREETS] if {"generalist", "streets"} & set(re.split(r"\W|_", option.name)) else []
     return [*beside, f"{plus}{option.parent}={option.name}"]
 
 

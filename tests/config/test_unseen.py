@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from composed import compose_config, composed
+from composed import FEW_STREETS, compose_config, composed
 from omegaconf import OmegaConf
 
 from negopipe import CONF
@@ -13,7 +13,6 @@ from negopipe.simulation.vehicle_kinds import bounds
 
 CASES = sorted(path.stem for path in (CONF / "unseen").glob("*.yaml"))
 TRAININGS = ("yield", "push", "mixture", "demonstrations", "generalist", "generalist_gpu")
-FEW_STREETS = ["scenario.streets.n_training=2", "scenario.streets.n_held_out=2"]
 Config = dict[str, Any]
 
 

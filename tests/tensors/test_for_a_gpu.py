@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 import torch
-from composed import compose_config
+from composed import FEW_STREETS, compose_config
 from games import draw_tasks
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -33,12 +33,12 @@ class Transfers(TorchDispatchMode):
 
 @pytest.fixture(scope="module")
 def game() -> Game:
-    return build_game(compose_config(["+experiment=generalist", "scenario.streets.n_training=4"]))
+    return build_game(compose_config(["+experiment=generalist", *FEW_STREETS]))
 
 
 @pytest.fixture(scope="module")
 def start(game: Game) -> World:
-    config = compose_config(["+experiment=generalist", "scenario.streets.n_training=4"])
+    config = compose_config(["+experiment=generalist", *FEW_STREETS])
     return game.simulator.reset(draw_tasks(config, N_WORLDS))
 
 
