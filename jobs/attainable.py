@@ -15,6 +15,7 @@ from torch import Tensor
 
 from negopipe import load_config
 from negopipe.evaluation.held_out import held_out_tasks
+from negopipe.game.game import has_compiler
 from negopipe.game.reward import RewardConfig
 from negopipe.runtime.backend import prepare
 from negopipe.runtime.build import game_of
@@ -23,6 +24,9 @@ from negopipe.sweeping.swept_runs import find_folders, read_runs
 from negopipe.sweeping.unseen import SUITE, read_cases
 from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
+
+WORTH_COMPILING = 3
+"""Tasks of a case from which on compiling it, two minutes, takes less time than it saves."""
 
 SUCCESS_ALONE = RewardConfig(step=0.0, collision=0.0, success=1.0)
 TABLE = CsvKind(
@@ -40,8 +44,9 @@ def solved(outputs: list[Path]) -> pd.DataFrame:
 
 def search(case: str, numbers: list[int], n_tasks: int) -> list[int]:
     """Those tasks of a case, out of these, for which no sequence that succeeds is found."""
-    fixed = ("device=cpu", "compile=off", "n_threads=1", f"evaluation.n_episodes={n_tasks}")
-    config = load_config("+experiment=unseen", f"+unseen={case}", *fixed)
+    compiled = "on" if has_compiler() and len(numbers) >= WORTH_COMPILING else "off"
+    fixed = ("device=cpu", "n_threads=1", f"evaluation.n_episodes={n_tasks}")
+    config = load_config("+experiment=unseen", f"+unseen={case}", f"compile={compiled}", *fixed)
     prepare(config)
     game = game_of(config)
     rollouts = Rollouts(game, config.policy.horizons_s, SUCCESS_ALONE)

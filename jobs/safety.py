@@ -174,8 +174,9 @@ def run(folder: Path, which: tuple[str, str, str], n_tasks: int, piece: int, ove
 
 
 def summary(folder: Path) -> pd.DataFrame:
-    """A row per case, attack and layer, and shares with the upper bounds of their Wilson intervals."""
+    """A row per case, attack and layer, and `all` cases together; shares with upper bounds of their Wilson intervals."""
     pieces = pd.concat([read_csv(path, TABLE) for path in sorted(folder.glob("*.csv"))], ignore_index=True)
+    pieces = pd.concat([pieces, pieces.assign(case="all")], ignore_index=True)
     table = pieces.groupby(["case", "attack", "layer"], as_index=False).sum()
     table["driving_time_s"] = (table.pop("total_s") / table["arrivals"].clip(lower=1)).round(3)
     touched = table[list(INTERVENTIONS[1:])].sum(axis=1)
@@ -202,7 +203,7 @@ def pieces_of(text: str) -> range:
     return range(int(first), int(last or first) + 1)
 
 
-if __name__ == "__main__":
+def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", type=Path, help="file of the table")
     parser.add_argument("folder", type=Path, help="folder of the pieces")
@@ -211,4 +212,8 @@ if __name__ == "__main__":
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--attacks", nargs="+", choices=ATTACKS, default=list(ATTACKS))
     parser.add_argument("--overrides", nargs="*", default=[], help="of the config, such as compile=on")
-    main(parser.parse_args())
+    return parser
+
+
+if __name__ == "__main__":
+    main(parser().parse_args())

@@ -12,6 +12,7 @@ import yaml
 from scripts import JOBS, load_script
 
 from negopipe.game.game import build_game
+from negopipe.safety.layer import INTERVENTIONS
 from negopipe.search.oracle_table import ORACLE_TABLE
 from negopipe.tracking import pretrained
 from negopipe.tracking.checkpoint import load_checkpoint
@@ -207,3 +208,24 @@ def test_ablation_means_count_cases_and_seeds_alike() -> None:
     assert (first["variant"], first["success"], first["n_cases"], first["n_seeds"]) == ("b", 0.75, 1, 1)
     assert (second["success"], second["success_low"], second["success_high"]) == (0.5, 0.25, 0.75)
     assert second["driving_time_s"] == 12.0
+
+
+def test_safety_drives_what_is_missing_and_sums_it(tmp_path: Path) -> None:
+    job = load_script("safety")
+    pieces, attacked = tmp_path / "pieces", ["--attacks", "random", "nan_plan", "--tasks", "2"]
+    words = [str(tmp_path / "table.csv"), str(pieces), *attacked, "--overrides", "scenario.episode_steps=6"]
+    job.main(job.parser().parse_args([*words, "--cases", "yield/push"]))
+    first = {path: path.stat().st_mtime_ns for path in pieces.iterdir()}
+    job.main(job.parser().parse_args([*words, "--cases", "yield/push", "yield/yield"]))
+    assert {path: path.stat().st_mtime_ns for path in first} == first
+    table = read_csv(tmp_path / "table.csv", job.TABLE).set_index(["case", "attack", "layer"]).sort_index()
+    assert table["n_episodes"].to_dict() == {
+        (case, attack, layer): 4 if case == "all" else 2
+        for case in ("all", "yield/push", "yield/yield")
+        for attack in ("random", "nan_plan")
+        for layer in ("none", "rss")
+    }
+    sums = table.drop("all")[["n_decisions", *INTERVENTIONS[1:]]].groupby(["attack", "layer"]).sum()
+    assert (table.loc["all"][sums.columns] == sums).all(axis=None)
+    assert table.loc[("all", "nan_plan", "rss"), "touched_percent"] > 10  # a third of the plans is lost
+    assert (table.xs("none", level="layer")["touched_percent"] == 0).all()
