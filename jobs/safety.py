@@ -174,7 +174,7 @@ def run(folder: Path, which: tuple[str, str, str], n_tasks: int, piece: int, ove
 
 
 def summary(folder: Path) -> pd.DataFrame:
-    """A row per case, attack and layer, and `all` cases together; shares with upper bounds of their Wilson intervals."""
+    """A row per case, attack and layer, and of `all` cases together; upper bounds are those of Wilson intervals."""
     pieces = pd.concat([read_csv(path, TABLE) for path in sorted(folder.glob("*.csv"))], ignore_index=True)
     pieces = pd.concat([pieces, pieces.assign(case="all")], ignore_index=True)
     table = pieces.groupby(["case", "attack", "layer"], as_index=False).sum()
