@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth
+from negopipe.simulation.geometry import Boxes, Size, boxes_from_pose, half_diagonal, overlap_depth
 from negopipe.simulation.map_street import Footprint
 from negopipe.simulation.road import Road, RouteState
 from negopipe.simulation.streets import Streets
@@ -42,7 +42,9 @@ class _Driven(NamedTuple):
 def check_routes(road: Streets, vehicle: Footprint, clearance_m: float) -> RouteCheck:
     """Both routes of every street, from end to end."""
     driven = _driven(road, vehicle, clearance_m)
-    touches = _is_in_a_car(road, driven) | is_off_road_on_route(road, driven.boxes, driven.s, driven.way)
+    touches = is_in_a_car(driven.boxes, road.parked_boxes(driven.way)) | is_off_road_on_route(
+        road, driven.boxes, driven.s, driven.way
+    )
     return RouteCheck(road.sigma(driven.s, driven.way), touches, driven.curvature)
 
 
@@ -52,7 +54,7 @@ def is_drivable(road: Streets, vehicle: Footprint, clearance_m: float, curvature
     Kerbs take the most time, so they are checked only where nothing else is wrong with the street.
     """
     driven = _driven(road, vehicle, clearance_m)
-    is_bad = _is_in_a_car(road, driven) | (driven.curvature.abs() > curvature_max_1pm)
+    is_bad = is_in_a_car(driven.boxes, road.parked_boxes(driven.way)) | (driven.curvature.abs() > curvature_max_1pm)
     is_open = ~is_bad.unflatten(0, (-1, 2)).flatten(1).any(1)
     left = is_open.repeat_interleave(2)
     boxes = driven.boxes._replace(**{name: getattr(driven.boxes, name)[left] for name in ("x", "y", "cos", "sin")})
@@ -73,11 +75,20 @@ def _driven(road: Streets, vehicle: Footprint, clearance_m: float) -> _Driven:
     return _Driven(s, way, boxes, on_route.curvature)
 
 
-def _is_in_a_car(road: Streets, driven: _Driven) -> Tensor:
-    """[2B, K] bool: a footprint reaches into a parked car."""
-    x, y, cos, sin = (field[..., None] for field in driven.boxes[:4])
-    each = driven.boxes._replace(x=x, y=y, cos=cos, sin=sin)
-    return (overlap_depth(each, road.parked_boxes(driven.way)) > 0).any(-1)
+def is_in_a_car(boxes: Boxes, parked: Boxes, deeper_than_m: float = 0.0) -> Tensor:
+    """[...] bool: footprints [...] of one size reach into a parked car, one of [..., N].
+
+    Most cars are far away, so only those within reach are checked.
+    """
+    dx, dy = parked.x - boxes.x[..., None], parked.y - boxes.y[..., None]
+    own, others = (half_diagonal(Size(2 * each.half_length, 2 * each.half_width)) for each in (boxes, parked))
+    is_near = dx**2 + dy**2 < (own + others) ** 2
+    vehicle = is_near.nonzero()[:, :-1].unbind(-1)
+    near = boxes._replace(**{name: getattr(boxes, name)[vehicle] for name in ("x", "y", "cos", "sin")})
+    cars = Boxes(*(torch.as_tensor(field).expand_as(is_near)[is_near] for field in parked))
+    touches = torch.zeros_like(is_near)
+    touches[is_near] = overlap_depth(near, cars) > deeper_than_m
+    return touches.any(-1)
 
 
 def is_off_road_on_route(road: Road, boxes: Boxes, s: Tensor, way: Tensor) -> Tensor:

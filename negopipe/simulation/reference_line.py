@@ -156,9 +156,9 @@ def check_bends(bends: Sequence[Bend], width_m: float) -> None:
             place = f"{bend.start_m:g} to {end:g} by start_m and length_m"
             raise ValueError(f"bends must lie within {REACH_M:g} m from the corridor, got {place}")
     line = Course(bends)
-    steps = [torch.arange(-REACH_M, REACH_M, 0.1, dtype=torch.float64)]
-    steps += [bend.start_m + bend.length_m * torch.linspace(0, 1, 101, dtype=torch.float64) for bend in bends]
-    sigma = torch.cat(steps).sort().values  # no bend is so short that it lies between two of them
+    if line.is_straight:
+        return
+    sigma = torch.cat([_places_in(bend) for bend in bends])  # outside all of them the line is straight
     sharpest = float(line.kappa(sigma).abs().max())
     if sharpest * width_m > 1:
         radius = f"{1 / sharpest:.3g} by length_m and angle_deg"
@@ -167,3 +167,9 @@ def check_bends(bends: Sequence[Bend], width_m: float) -> None:
     turn_deg = math.degrees(float(heading.max() - heading.min()))
     if turn_deg >= 180:
         raise ValueError(f"bends must turn by less than 180 deg in all, got {turn_deg:.4g} by angle_deg")
+
+
+def _places_in(bend: Bend) -> Tensor:
+    """[K] float64 m: sigma from one end of a bend to the other, at most 0.1 m apart."""
+    n = max(101, math.ceil(bend.length_m / 0.1) + 1)
+    return bend.start_m + bend.length_m * torch.linspace(0, 1, n, dtype=torch.float64)

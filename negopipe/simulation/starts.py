@@ -7,7 +7,7 @@ from torch import Tensor
 
 from negopipe.checks import Problem
 from negopipe.simulation.build_road import build_road, draw_streets
-from negopipe.simulation.drivable import is_off_road_on_route
+from negopipe.simulation.drivable import is_in_a_car, is_off_road_on_route
 from negopipe.simulation.geometry import Boxes, Size, boxes_from_pose, overlap_depth
 from negopipe.simulation.road import RouteState
 from negopipe.simulation.scenario import FamilyConfig, ScenarioConfig
@@ -145,10 +145,8 @@ class _Starts:
     def _touches(self, distance: Tensor, direction: float, size: Size) -> Tensor:
         """[B, ...] bool: a vehicle with the start distance [...] touches a parked car or goes over a kerb."""
         boxes, way = self._boxes(distance, direction, size), self._way(distance, direction)
-        parked = self.road.parked_boxes(way)
-        x, y, cos, sin = (field[..., None] for field in boxes[:4])
-        is_in_a_car = overlap_depth(boxes._replace(x=x, y=y, cos=cos, sin=sin), parked) > TOUCH_M
-        return is_in_a_car.any(-1) | is_off_road_on_route(self.road, boxes, -distance.expand_as(way), way)
+        is_in = is_in_a_car(boxes, self.road.parked_boxes(way), TOUCH_M)
+        return is_in | is_off_road_on_route(self.road, boxes, -distance.expand_as(way), way)
 
     def _way(self, distance: Tensor, direction: float) -> Tensor:
         """[B, ...]: the direction of every street, with an axis for each of `distance`."""
