@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from negopipe.simulation.drivable import is_in_a_car
 from negopipe.simulation.geometry import Boxes, boxes_from_pose, overlap_depth, wrap_angle
 from negopipe.simulation.smoothstep import smoothstep
 
@@ -76,3 +77,20 @@ def test_smoothstep_derivatives() -> None:
     (second_by_autograd,) = torch.autograd.grad(by_autograd.sum(), x)
     torch.testing.assert_close(first, by_autograd)
     torch.testing.assert_close(second, second_by_autograd)
+
+
+@pytest.mark.parametrize("deeper_than_m", [0.0, 0.3])
+def test_cars_within_reach_are_all_that_count(deeper_than_m: float) -> None:
+    random = torch.Generator().manual_seed(4)
+
+    def boxes(*shape: int, length: float | torch.Tensor, width: float | torch.Tensor) -> Boxes:
+        x, y, yaw = (scale * torch.rand(shape, generator=random) for scale in (30.0, 30.0, 6.0))
+        return boxes_from_pose(x, y, yaw, length, width)
+
+    vehicles = boxes(40, 25, length=4.5, width=1.8)
+    lengths = 2 + 4 * torch.rand(40, 25, 6, generator=random)
+    cars = boxes(40, 25, 6, length=lengths, width=lengths / 2)
+    each = Boxes(*(field[..., None] if isinstance(field, torch.Tensor) else field for field in vehicles))
+    expected = (overlap_depth(each, cars) > deeper_than_m).any(-1)
+    assert 0.02 < expected.float().mean() < 0.6
+    assert torch.equal(is_in_a_car(vehicles, cars, deeper_than_m), expected)
