@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 from composed import compose_config
 from games import IN_ONE_PROCESS
-from runtime_drives import negotiator
+from runtime_drives import negotiator, parts
 
+from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
 from negopipe.deployment.vehicle import __main__ as command
 from negopipe.deployment.vehicle.cars import CARS, PERFECT, tracked
 from negopipe.deployment.vehicle.encounters import Encounters
@@ -17,6 +18,9 @@ from negopipe.deployment.vehicle.multi_body import MultiBody
 from negopipe.deployment.vehicle.rows import KEYS, add_rows, missing, read_rows, rows_of
 from negopipe.deployment.vehicle.summary import summary
 from negopipe.errors import UserError
+from negopipe.evaluation.episodes import drive_episodes
+from negopipe.evaluation.held_out import held_out_tasks
+from negopipe.tensors.tree import map_tensors
 
 TASKS = ("+experiment=yield", *IN_ONE_PROCESS, "evaluation.n_episodes=4", "scenario.episode_steps=100")
 
@@ -105,6 +109,21 @@ def test_cars_drive_the_paper_s_tasks(car: str) -> None:
     else:
         assert 0.001 < errors[:, 1].max() < 0.2
         assert errors[:, 0].max() < 0.7
+
+
+@pytest.mark.slow
+def test_a_car_without_errors_drives_as_the_simulator_does() -> None:
+    exact = {name: "0.0" for name in ("seen_before_s", "lost_frames", "lost_objects")}
+    exact |= {f"{name}": "0.0" for name in ("position_std_m", "yaw_std_rad", "speed_std_mps")}
+    where = encounters("vehicle.objects.latency_s=[0.0,0.0]", *(f"vehicle.objects.{k}={v}" for k, v in exact.items()))
+    config, game = where.config, where.game
+    choose = adaptive_planner(parts()[2], game, config.policy.horizons_s)
+    tasks = map_tensors(lambda field: field[:2], held_out_tasks(config, game, "yield"))
+    wanted = drive_episodes(game, by_horizon(game, choose), tasks, 2, config.evaluation.reward, ("policy", "yield"))
+    found = where.drive(PERFECT, "yield", [0, 1]).trace
+    assert found.n_steps.tolist() == wanted.n_steps.tolist()
+    for row, n in enumerate(wanted.n_steps):
+        np.testing.assert_allclose(found.position_m[: n + 1, row], wanted.position_m[: n + 1, row], atol=1e-3)
 
 
 @pytest.mark.slow

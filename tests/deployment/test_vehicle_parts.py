@@ -22,7 +22,7 @@ from negopipe.deployment.vehicle.cars import RealCar, tracked
 from negopipe.deployment.vehicle.channel import Channel
 from negopipe.deployment.vehicle.controller import Controller
 from negopipe.deployment.vehicle.kinematic import rolled
-from negopipe.deployment.vehicle.options import VehicleConfig
+from negopipe.deployment.vehicle.options import ObjectsConfig, VehicleConfig
 from negopipe.deployment.vehicle.path import Path
 from negopipe.deployment.vehicle.plant import Plant
 from negopipe.deployment.vehicle.sensors import Localisation, ObjectSensor, Others
@@ -166,12 +166,24 @@ def test_frames_have_the_age_the_gaps_and_the_errors_that_were_asked_for() -> No
     np.testing.assert_allclose(errors.std(0), deviations, rtol=0.06)
 
 
-def test_the_others_are_seen_between_two_decisions() -> None:
-    exact = replace(
+def exact_objects(**changes: float) -> ObjectsConfig:
+    return replace(
         compose_config().vehicle.objects, position_std_m=0.0, yaw_std_rad=0.0, speed_std_mps=0.0, lost_frames=0.0,
-        lost_objects=0.0, latency_s=(0.0, 0.0),
+        lost_objects=0.0, latency_s=(0.0, 0.0), **changes,
     )  # fmt: skip
-    sensor = ObjectSensor(exact, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(("before_s", "x"), [(0.5, [2.0, 1.6, 1.2, 0.8, 0.4, 0.0]), (0.0, [0.0])])
+def test_the_others_have_come_for_a_while_when_a_drive_begins(before_s: float, x: list[float]) -> None:
+    sensor = ObjectSensor(exact_objects(seen_before_s=before_s), np.random.default_rng(0))
+    heard = sensor.hear(Others(0.0, np.array([[0.0, 0.0, math.pi, 4.0, 4.5, 1.8]])))
+    assert heard is not None
+    np.testing.assert_allclose([message.x for message in heard], x, atol=1e-9)
+    np.testing.assert_allclose([message.time_s for message in heard], [-each / 4 for each in x], atol=1e-9)
+
+
+def test_the_others_are_seen_between_two_decisions() -> None:
+    sensor = ObjectSensor(exact_objects(), np.random.default_rng(0))
     sensor.hear(Others(0.0, np.array([[0.0, 0.0, math.pi - 0.1, 4.0, 4.5, 1.8]])))
     messages = sensor.hear(Others(0.2, np.array([[-0.8, 0.0, 0.1 - math.pi, 4.0, 4.5, 1.8]])))
     assert messages is not None

@@ -46,6 +46,7 @@ class LocalisationConfig:
 class ObjectsConfig:
     """Rate, age, gaps and errors of the words of others."""
 
+    seen_before_s: NonNegativeFloat
     period_s: PositiveFloat
     latency_s: Interval
     lost_frames: Fraction

@@ -11,9 +11,6 @@ from negopipe.deployment.vehicle.body import CarState
 from negopipe.deployment.vehicle.channel import ROUNDING_S, Channel
 from negopipe.deployment.vehicle.options import LocalisationConfig, ObjectsConfig
 
-BEFORE_S = 0.5
-"""Time before the start of an episode from which on the others are seen; they came with their speed and heading."""
-
 
 @dataclass(frozen=True)
 class Others:
@@ -45,11 +42,11 @@ class ObjectSensor:
         self.config, self._rng = config, rng
         self._channel: Channel[list[ObjectState]] = Channel()
         self._last: Others | None = None
-        self._next_frame_s = -BEFORE_S
+        self._next_frame_s = -config.seen_before_s
 
     def hear(self, others: Others) -> list[ObjectState] | None:
         """What has arrived since the last call, None where that is not even an empty frame; others: as they are now."""
-        before = self._last or others.driven_back(self._next_frame_s)
+        before = self._last or others.driven_back(self._next_frame_s - self.config.period_s)
         while self._next_frame_s <= others.time_s + ROUNDING_S:
             self._send(self._next_frame_s, others.at(self._next_frame_s, before))
             self._next_frame_s += self.config.period_s
