@@ -114,8 +114,8 @@ def _delayed(past: deque[Tensor], latest: Tensor) -> Tensor:
 
 
 def _plan(game: Game, attack: str, key: Tensor) -> Callable[[Perception, Tensor], Motion]:
-    """The plans of an attack. Without a layer a lost plan would be driven as NaN, so it is the planner's then."""
-    if attack != "nan_plan" or game.simulator.n_kept == 0:
+    """The plans of an attack."""
+    if attack != "nan_plan":
         return game.plan
     draw = _draws(key)
 
@@ -192,10 +192,15 @@ def main(args: argparse.Namespace) -> None:
     for piece in args.pieces:
         for case in args.cases:
             for attack in args.attacks:
-                for layer in LAYERS:
+                for layer in layers_of(attack):
                     run(args.folder, (case, attack, layer), args.tasks, piece, args.overrides)
                 write_csv(args.table, summary(args.folder), TABLE)
     print(summary(args.folder).to_string(index=False))
+
+
+def layers_of(attack: str) -> tuple[str, ...]:
+    """A plan of NaN can only be driven where a layer replaces it."""
+    return LAYERS[1:] if attack == "nan_plan" else LAYERS
 
 
 def pieces_of(text: str) -> range:
