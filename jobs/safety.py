@@ -192,15 +192,15 @@ def main(args: argparse.Namespace) -> None:
     for piece in args.pieces:
         for case in args.cases:
             for attack in args.attacks:
-                for layer in layers_of(attack):
+                for layer in layers_of(attack, args.layers):
                     run(args.folder, (case, attack, layer), args.tasks, piece, args.overrides)
                 write_csv(args.table, summary(args.folder), TABLE)
     print(summary(args.folder).to_string(index=False))
 
 
-def layers_of(attack: str) -> tuple[str, ...]:
+def layers_of(attack: str, wanted: Sequence[str]) -> list[str]:
     """A plan of NaN can only be driven where a layer replaces it."""
-    return LAYERS[1:] if attack == "nan_plan" else LAYERS
+    return [layer for layer in wanted if layer != "none" or attack != "nan_plan"]
 
 
 def pieces_of(text: str) -> range:
@@ -216,6 +216,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--pieces", type=pieces_of, default=range(1, 2), help="numbers of the pieces, 1-8")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--attacks", nargs="+", choices=ATTACKS, default=list(ATTACKS))
+    parser.add_argument("--layers", nargs="+", choices=LAYERS, default=list(LAYERS))
     parser.add_argument("--overrides", nargs="*", default=[], help="of the config, such as compile=on")
     return parser
 
