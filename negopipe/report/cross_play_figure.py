@@ -51,6 +51,6 @@ def _draw(axis: Axes, table: pd.DataFrame, players: list[str], name: str) -> Non
 
 
 def _interval(low: float, high: float) -> str:
-    """A narrow interval with a decimal that says something, a wide one without."""
+    """A narrow interval with a decimal, unless that is 0; a wide one without."""
     decimals = 1 if high - low < WIDE else 0
     return "\N{EN DASH}".join(f"{each:.{decimals}f}".removesuffix(".0") for each in (low, high))
