@@ -1,9 +1,12 @@
 """Speed of calls and machines: medians, latencies, memory, and two reference rates of the machine."""
 
+import csv
 import re
 import resource
 import statistics
+import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,6 +15,7 @@ import torch
 from pydantic import Field, model_validator
 
 from negopipe.checks import N_COPIES, Memory, Observed
+from negopipe.errors import UserError
 from negopipe.schema import Distinct, PositiveFloat, PositiveInt, schema
 from negopipe.tensors.timing import block_seconds
 
@@ -36,6 +40,7 @@ class BenchmarkConfig:
     min_time_s: PositiveFloat
     n_latencies: PositiveInt
     n_iterations: PositiveInt
+    export: str | None
 
     @model_validator(mode="after")
     def _has_base(self) -> "BenchmarkConfig":
@@ -77,6 +82,21 @@ def matmul_gflops(config: BenchmarkConfig, device: torch.device) -> float:
     a, b = torch.rand(2, MATRIX_SIDE, MATRIX_SIDE, device=device)
     out = torch.empty_like(a)
     return 2 * MATRIX_SIDE**3 / seconds_per_call(lambda: torch.matmul(a, b, out=out), config, device) / 1e9
+
+
+def runtime_figures(export: str, n_decisions: int) -> dict[str, float]:
+    """Figures of `python -m negopipe.deployment.speed` for an export, in a process without torch."""
+    with tempfile.TemporaryDirectory(prefix="negopipe-") as folder:
+        table = Path(folder) / "speed.csv"
+        command = [sys.executable, "-m", "negopipe.deployment.speed", export]
+        command += ["--decisions", str(n_decisions), "--table", str(table)]
+        measured = subprocess.run(command, capture_output=True, text=True)
+        if measured.returncode:
+            last = (measured.stderr.splitlines() or ["no message"])[-1]
+            raise UserError(f"benchmark.export must be a folder with the whole decision, got {export}: {last}")
+        with table.open(encoding="utf-8", newline="") as file:
+            row = next(csv.DictReader(file))
+    return {name: float(value) for name, value in row.items() if name != "export"}
 
 
 def copy_gb_per_s(config: BenchmarkConfig, device: torch.device) -> float:

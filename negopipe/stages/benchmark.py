@@ -1,8 +1,8 @@
 """The benchmark stage: speed of the game by backend and number of worlds, and the limit set by the machine.
 
 Figures have flat names, `<backend>.<worlds>.<figure>`, beside `reference.*` (the machine), `limit.*` (least cost of a
-decision) and `train.*` (training as configured). Every cell is measured in a process of its own, so that cells share
-neither memory nor compiled code.
+decision), `train.*` (training as configured) and `runtime.*` (decisions of an export). Every cell is measured in a
+process of its own, so that cells share neither memory nor compiled code.
 """
 
 import json
@@ -29,6 +29,7 @@ from negopipe.benchmark.speed import (
     latency_percentiles_ms,
     matmul_gflops,
     peak_memory_mb,
+    runtime_figures,
     seconds_per_call,
 )
 from negopipe.benchmark.training_speed import measure_training
@@ -72,13 +73,19 @@ Figures = dict[str, float]
 def run(config: "RunConfig", tracked: "TrackedRun") -> None:
     """Measure every available backend; writes benchmark.json and prints it as a table.
 
-    Raises UserError if none of `benchmark.backends` is available or a cell ends without a result (out of memory).
+    Raises UserError if none of `benchmark.backends` is available, a cell ends without a result (out of memory), or
+    `benchmark.export` cannot be measured.
     """
     backends = available(config.benchmark.backends)
     devices = sorted({_device(backend).type for backend in backends})
     cells = [(backend, n) for backend in backends for n in sorted(set(config.benchmark.n_worlds))]
     figures: Figures = {}
-    with ProgressLine("benchmark", len(devices) + len(cells) + 1) as progress:
+    export = config.benchmark.export
+    with ProgressLine("benchmark", (export is not None) + len(devices) + len(cells) + 1) as progress:
+        if export is not None:
+            runtime = runtime_figures(export, config.benchmark.n_latencies)
+            figures |= {f"runtime.{name}": value for name, value in runtime.items()}
+            progress.advance(f"runtime, {runtime['p50_ms']:.1f} ms a decision")
         for device in devices:
             figures |= _in_own_process(measure_machine, config, device)
             progress.advance(f"{device}, {figures[_reference(device) + 'matmul_gflops']:.0f} GFLOPS")
@@ -253,7 +260,7 @@ def _answer(
 def _show(cells: list[tuple[Backend, int]], figures: Figures) -> None:
     """The machine and the limit a line each, then a table with a row per cell."""
     for name, value in figures.items():
-        if name.startswith(("reference.", "limit.", "train.")):
+        if name.startswith(("reference.", "limit.", "train.", "runtime.")):
             log.info(f"{name} {_short(value)}")
     table = Table()
     table.add_column("backend")

@@ -3,7 +3,7 @@
 How many count differs from call to call, which neither compiled code nor a CUDA graph nor an exported program can
 follow: these have one shape. Within compiled code on a CPU the items are therefore picked by an operator of its own,
 which computes them in chunks of one size by a function that is compiled apart. A GPU and an exported program compute
-all items.
+all items, and so does compiled code where all of them are no more than a chunk.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,8 @@ class SparseFunction:
 
         counts: [..., N] bool; of_owners: [A, N]; of_items: [B, ..., N]
         """
-        if counts.is_cuda or torch.compiler.is_exporting():
+        is_small = torch.compiler.is_compiling() and counts.numel() <= CHUNK
+        if counts.is_cuda or torch.compiler.is_exporting() or is_small:
             results = self.fn(of_owners.reshape(len(of_owners), *[1] * (counts.dim() - 1), -1), of_items)
             return torch.where(counts, results, self.otherwise.reshape(-1, *[1] * counts.dim()))
         if torch.compiler.is_compiling():

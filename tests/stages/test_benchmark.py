@@ -2,6 +2,7 @@
 
 import json
 import re
+import subprocess
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from composed import compose_config
 from torch.utils._python_dispatch import TorchDispatchMode
 from tracked import RecordedRun
 
-from negopipe.benchmark.speed import BenchmarkConfig, latency_percentiles_ms, seconds_per_call
+from negopipe.benchmark.speed import BenchmarkConfig, latency_percentiles_ms, runtime_figures, seconds_per_call
 from negopipe.benchmark.training_speed import measure_training
 from negopipe.benchmark.workload import OVERLAP, Workload, decision_workload
 from negopipe.config.root import RunConfig
@@ -106,6 +107,22 @@ def test_all_figures_are_written_under_their_names(
     shown = capsys.readouterr().out
     assert "benchmark 100%" in shown
     assert len(re.findall(r"^│ eager", shown, flags=re.MULTILINE)) == 2
+
+
+def test_an_export_is_measured_by_its_own_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    def run(command: list[str], **_: Any) -> subprocess.CompletedProcess:
+        assert command[1:6] == ["-m", "negopipe.deployment.speed", "some/export", "--decisions", "5"]
+        Path(command[-1]).write_text("export,n_decisions,p50_ms\nexport,5,2.5\n")
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert runtime_figures("some/export", 5) == {"n_decisions": 5.0, "p50_ms": 2.5}
+
+
+def test_a_folder_without_an_export_is_refused_before_anything_is_measured(tiny: RunConfig, tmp_path: Path) -> None:
+    config = replace(tiny, benchmark=timing(export=str(tmp_path)))
+    with pytest.raises(UserError, match=rf"^benchmark\.export must be .*, got {tmp_path}: .*export\.json"):
+        benchmark.run(config, RecordedRun(tmp_path))  # type: ignore[arg-type]
 
 
 def test_a_cell_on_drawn_streets() -> None:

@@ -66,9 +66,10 @@ def test_keys_are_given_again() -> None:
 
 
 @pytest.mark.slow
-def test_compiled_code_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In chunks of one size, whichever items count: the same code object serves all calls."""
-    monkeypatch.setattr(sparse, "CHUNK", 64)
+@pytest.mark.parametrize("chunk", [64, 2000])
+def test_compiled_code_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
+    """In chunks of one size, or all items where they are fewer than that, whichever count."""
+    monkeypatch.setattr(sparse, "CHUNK", chunk)
     function = SparseFunction(shares, OTHERWISE)
 
     def around(counts: Tensor, owners: Tensor, items: Tensor) -> Tensor:
