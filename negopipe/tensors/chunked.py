@@ -6,10 +6,16 @@ not depend on the number of worlds beside it.
 
 A world has dozens of tensors, and passing each of them costs as much as computing with them. So they are passed as
 columns of one table per dtype. A chunk is a range of rows.
+
+Compiled chunks on a CPU are computed in as many threads as torch uses. Each takes the next chunk once it is done with
+one, so that a thread whose core is busy elsewhere holds up nobody but at the end.
 """
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any, NamedTuple
 
 import torch
@@ -77,11 +83,17 @@ class ChunkedFunction:
     def __call__(self, *args: Any) -> Any:
         leaves = tensors(args)
         signature = tuple((leaf.dtype, leaf.shape[1:]) for leaf in leaves)
-        if signature not in self._on_tables:
+        is_new = signature not in self._on_tables
+        if is_new:
             self._on_tables[signature] = self._prepare(args)
         arguments, result, fn = self._on_tables[signature]
         tables, n_worlds = arguments.pack(args), len(leaves[0])
-        pieces = [fn(*self._rows(tables, start, size)) for start, size in self._chunks(n_worlds)]
+        chunks = [self._rows(tables, start, size) for start, size in self._chunks(n_worlds)]
+        n_threads = 1 if is_new or not self.compiler or tables[0].is_cuda else torch.get_num_threads()
+        if min(n_threads, len(chunks)) > 1:
+            pieces = list(_threads(n_threads, os.getpid()).map(lambda rows: fn(*rows), chunks))
+        else:
+            pieces = [fn(*rows) for rows in chunks]  # the first call compiles
         return result.unpack(tuple(_joined(parts, n_worlds) for parts in zip(*pieces, strict=True)))
 
     def _prepare(self, args: Any) -> tuple[Layout, Layout, Callable[..., Tables]]:
@@ -104,6 +116,17 @@ class ChunkedFunction:
         if n_missing <= 0 or not self.compiler:
             return tuple(table[start : start + size] for table in tables)
         return tuple(torch.cat([table[start:], table[-1:].expand(n_missing, -1)]) for table in tables)
+
+
+@cache
+def _threads(n: int, process: int) -> ThreadPoolExecutor:
+    """Threads of a process, each with one thread of torch; a forked process has none of its parent's."""
+    return ThreadPoolExecutor(n, "chunks", _begin_thread)
+
+
+def _begin_thread() -> None:
+    torch.set_num_threads(1)  # those of the other threads stay as they are
+    torch.set_grad_enabled(False)
 
 
 def _joined(parts: Tables, n_worlds: int) -> Tensor:

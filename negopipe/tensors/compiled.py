@@ -1,6 +1,7 @@
 """Compilation of functions that are called in chunks of one shape."""
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 
@@ -11,8 +12,9 @@ def compiled(fn: Callable) -> Callable:
     Guards cost as much as a tenth of the work. They are not needed: `ChunkedFunction` keeps shapes and dtypes, and what
     `fn` is made of must never change. Compiled code belongs to a code object, and without guards a function could be
     given the code of another one, so every function gets a code object of its own. A chunk is too small for more
-    threads.
+    threads. All of a call is C++ ("cpp_wrapper"), which leaves Python's lock to other threads with chunks of their own.
     """
     fn.__code__ = fn.__code__.replace()
     no_guards = torch.compiler.skip_all_guards_unsafe
-    return torch.compile(fn, dynamic=False, options={"guard_filter_fn": no_guards, "cpp.threads": 1})
+    options: dict[str, Any] = {"guard_filter_fn": no_guards, "cpp.threads": 1, "cpp_wrapper": True}
+    return torch.compile(fn, dynamic=False, options=options)
