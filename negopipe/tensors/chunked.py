@@ -50,6 +50,12 @@ class Layout:
             first = n_columns[table]
             n_columns[table] += math.prod(shape)
             self._columns.append(_Columns(table, first, n_columns[table], shape))
+        self._n_columns = n_columns
+
+    def empty(self, n: int, device: torch.device) -> Tables:
+        """Tables of `n` rows, to be filled."""
+        columns = zip(self._n_columns, self._dtypes, strict=True)
+        return tuple(torch.empty(n, n_columns, dtype=dtype, device=device) for n_columns, dtype in columns)
 
     def pack(self, tree: Any) -> Tables:
         """Tables of the tensors of `tree`, which has the structure of the example and any E."""
@@ -88,13 +94,20 @@ class ChunkedFunction:
             self._on_tables[signature] = self._prepare(args)
         arguments, result, fn = self._on_tables[signature]
         tables, n_worlds = arguments.pack(args), len(leaves[0])
-        chunks = [self._rows(tables, start, size) for start, size in self._chunks(n_worlds)]
+        chunks = list(self._chunks(n_worlds))
+        if chunks == [(0, n_worlds)]:
+            return result.unpack(fn(*tables))
+        whole = result.empty(n_worlds, tables[0].device)
+
+        def compute(chunk: tuple[int, int]) -> None:
+            start, size = chunk
+            for table, part in zip(whole, fn(*self._rows(tables, start, size)), strict=True):
+                table[start : start + size] = part[: n_worlds - start]
+
         n_threads = 1 if is_new or not self.compiler or tables[0].is_cuda else torch.get_num_threads()
-        if min(n_threads, len(chunks)) > 1:
-            pieces = list(_threads(n_threads, os.getpid()).map(lambda rows: fn(*rows), chunks))
-        else:
-            pieces = [fn(*rows) for rows in chunks]  # the first call compiles
-        return result.unpack(tuple(_joined(parts, n_worlds) for parts in zip(*pieces, strict=True)))
+        for _ in _threads(n_threads, os.getpid()).map(compute, chunks) if n_threads > 1 else map(compute, chunks):
+            pass  # the first call, which compiles, is one thread's
+        return result.unpack(whole)
 
     def _prepare(self, args: Any) -> tuple[Layout, Layout, Callable[..., Tables]]:
         """Layouts of the arguments and of the result, found by a call for one world, and `fn` from tables to tables."""
@@ -127,8 +140,3 @@ def _threads(n: int, process: int) -> ThreadPoolExecutor:
 def _begin_thread() -> None:
     torch.set_num_threads(1)  # those of the other threads stay as they are
     torch.set_grad_enabled(False)
-
-
-def _joined(parts: Tables, n_worlds: int) -> Tensor:
-    whole = parts[0] if len(parts) == 1 else torch.cat(parts)
-    return whole if len(whole) == n_worlds else whole[:n_worlds].clone()
