@@ -104,9 +104,9 @@ class ChunkedFunction:
             for table, part in zip(whole, fn(*self._rows(tables, start, size)), strict=True):
                 table[start : start + size] = part[: n_worlds - start]
 
-        n_threads = 1 if is_new or not self.compiler or tables[0].is_cuda else torch.get_num_threads()
-        for _ in _threads(n_threads, os.getpid()).map(compute, chunks) if n_threads > 1 else map(compute, chunks):
-            pass  # the first call, which compiles, is one thread's
+        is_parallel = self.compiler is not None and not is_new and not tables[0].is_cuda  # the first call compiles
+        n_threads = torch.get_num_threads() if is_parallel else 1
+        list((_threads(n_threads, os.getpid()).map if n_threads > 1 else map)(compute, chunks))
         return result.unpack(whole)
 
     def _prepare(self, args: Any) -> tuple[Layout, Layout, Callable[..., Tables]]:
