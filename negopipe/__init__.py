@@ -6,6 +6,7 @@ The map, lowest first: a package imports only what stands above it here, and its
     lazy_face     the public names of a package, imported at their first use
     checks        what a component says of its own values: problems, memory
     environment   environment variables and the user's home
+    peak_memory   peak memory of the process
     schema        how a component declares its configuration
     tensors       batched tensors without anything of driving: trees, chunks, random streams, ranks, settings of torch
     policy        the networks

@@ -1,8 +1,6 @@
 """Speed of calls and machines: medians, latencies, memory, and two reference rates of the machine."""
 
 import csv
-import re
-import resource
 import statistics
 import subprocess
 import sys
@@ -16,6 +14,7 @@ from pydantic import Field, model_validator
 
 from negopipe.checks import N_COPIES, Memory, Observed
 from negopipe.errors import UserError
+from negopipe.peak_memory import peak_memory_bytes
 from negopipe.schema import Distinct, PositiveFloat, PositiveInt, schema
 from negopipe.tensors.timing import block_seconds
 
@@ -110,10 +109,4 @@ def peak_memory_mb(device: torch.device) -> float:
     """Peak memory since the start of the process, 1e6 bytes: of the process, or of tensors on a GPU."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 1e6
-    status = Path("/proc/self/status")
-    if status.exists():  # getrusage on Linux starts a new process with the peak of the one that started it
-        found = re.search(r"^VmHWM:\s+(\d+) kB$", status.read_text(), flags=re.MULTILINE)
-        if found:
-            return int(found[1]) * 1024 / 1e6
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
+    return peak_memory_bytes() / 1e6

@@ -5,7 +5,6 @@ An ego drives its plans along a street with parked cars while another car comes 
 """
 
 import argparse
-import resource
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ import numpy as np
 from negopipe.deployment import EgoState, HostStreet, Negotiator, ObjectState
 from negopipe.deployment.open_decision import FILES, Backend
 from negopipe.errors import UserError
+from negopipe.peak_memory import peak_memory_bytes
 
 COMMAND = "python -m negopipe.deployment.speed"
 N_WARM_UP = 20
@@ -30,7 +30,7 @@ class Speed:
 
     n_decisions: measured; p50_ms, p99_ms: CPU time of a decision; p99_wall_ms: time by the clock, other processes'
         work included
-    memory_mb: largest resident memory of the process
+    memory_mb: largest resident memory of the process, 2^20 bytes
     import_s, load_s: times by the clock to import the runtime and the backend, and to load an export
     load: processes that ran or waited to run on this machine, in the mean of the last minute
     """
@@ -75,7 +75,7 @@ def measure(folder: Path, n_decisions: int, backend: Backend = "onnxruntime") ->
     parked = np.array([[at, y, 0.0, 3.6, 1.9] for at in (-4.2, 0.0, 4.2) for y in (2.55, -2.55)])
     seconds = _drive(negotiator, negotiator.street_between(left, right, parked), n_decisions + N_WARM_UP)
     (p50, p99), (_, p99_wall) = (np.percentile(each, [50, 99]) * 1e3 for each in seconds[N_WARM_UP:].T)
-    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    memory_mb = peak_memory_bytes() / 2**20
     load = Path("/proc/loadavg").read_text(encoding="utf-8").split()[0]
     times = (float(p50), float(p99), float(p99_wall))
     return Speed(n_decisions, *times, memory_mb, _import_s(backend), load_s, float(load))
