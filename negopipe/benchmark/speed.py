@@ -1,6 +1,5 @@
 """Speed of calls and machines: medians, latencies, memory, and two reference rates of the machine."""
 
-import csv
 import statistics
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from negopipe.errors import UserError
 from negopipe.peak_memory import peak_memory_bytes
 from negopipe.schema import Distinct, PositiveFloat, PositiveInt, schema
 from negopipe.tensors.timing import block_seconds
+from negopipe.tracking.csv_file import CsvKind, read_csv
 
 Backend = Literal["eager", "compiled", "cuda_eager", "cuda"]
 
@@ -25,6 +25,9 @@ MATRIX_SIDE = 2048
 
 COPY_FLOATS = 2**26
 """Numbers in the reference copy: 256 MiB, larger than any cache."""
+
+RUNTIME = CsvKind("python -m negopipe.deployment.speed", {"export": str, "n_*": int, "*": float})
+"""Table of the runtime's speed."""
 
 
 @schema
@@ -93,9 +96,8 @@ def runtime_figures(export: str, n_decisions: int) -> dict[str, float]:
         if measured.returncode:
             last = (measured.stderr.splitlines() or ["no message"])[-1]
             raise UserError(f"benchmark.export must be a folder with the whole decision, got {export}: {last}")
-        with table.open(encoding="utf-8", newline="") as file:
-            row = next(csv.DictReader(file))
-    return {name: float(value) for name, value in row.items() if name != "export"}
+        row = read_csv(table, RUNTIME).iloc[0]
+    return {name: float(row[name]) for name in row.index.drop("export")}
 
 
 def copy_gb_per_s(config: BenchmarkConfig, device: torch.device) -> float:
