@@ -1,6 +1,6 @@
 """Results of unseen-v1 as one table and one page: `python -m negopipe.sweeping.unseen <outputs>`.
 
-The runs of `+experiment=unseen` are read, one per case and checkpoint, and nothing is run.
+The runs of `+experiment=unseen` are read, one per case and policy, and nothing is run.
 """
 
 import argparse
@@ -34,6 +34,10 @@ COMMAND = "python -m negopipe.sweeping.unseen"
 SUITE = "unseen-v1"
 REFERENCE = "cautious"
 """Planner that all others are compared with, task by task."""
+POLICY = ("checkpoint", "evaluation.action")
+"""Keys that tell the policies apart."""
+CAR = ("planner.", "safety.", "perception.", "vehicle.")
+"""Beginnings of keys that are the same for every planner of a case."""
 RANDOM_SEED = 0
 """Seed of the bootstrap: the same runs give the same intervals."""
 FIGURES = (
@@ -67,7 +71,7 @@ OVERALL = (
 class Cases(NamedTuple):
     """Episodes of all planners in all cases.
 
-    episodes: rows of the runs' episodes.csv with the column `case`; a policy is named after its checkpoint where there
+    episodes: rows of the runs' episodes.csv with the column `case`; a policy has a number where there
         are several
     fixed_s: horizon of each baseline that has a fixed one
     """
@@ -94,6 +98,7 @@ def write_results(outputs: Path, command: str) -> None:
     runs = [run for run in read_runs(find_folders([outputs / f"{SUITE}.*"])) if run.holds(EPISODES_NAME)]
     if not runs:
         raise UserError(f"the folder must hold evaluated runs of +experiment=unseen, got {outputs}")
+    _require_one_car(runs)
     cases = read_cases(runs)
     rows = case_table(cases.episodes)
     write_csv(outputs / "unseen.csv", rows, ROWS)
@@ -144,11 +149,23 @@ def _case(run: SweptRun) -> str:
     return str(run.config["name"]).removeprefix(f"{SUITE}.")
 
 
+def _require_one_car(runs: Sequence[SweptRun]) -> None:
+    """Raise a UserError where the runs of a case differ in more than the policy; a baseline would then be several."""
+    first: dict[str, SweptRun] = {}
+    for run in runs:
+        other = first.setdefault(_case(run), run)
+        for key in (key for key in run.config if key.startswith(CAR)):
+            if run.config[key] != other.config.get(key):
+                found = f"{other.config.get(key)} and {run.config[key]} for {_case(run)}"
+                raise UserError(f"{key} must be the same in all runs of a case, got {found}; give each its own outputs")
+
+
 def _with_policies(runs: Sequence[SweptRun]) -> list[tuple[SweptRun, str]]:
-    """Every run with the name of its policy, which has a number where the runs have several checkpoints."""
-    checkpoints = list(dict.fromkeys(str(run.config["checkpoint"]) for run in runs))
-    own = {each: ADAPTIVE if len(checkpoints) == 1 else f"{ADAPTIVE}_{i}" for i, each in enumerate(checkpoints, 1)}
-    return [(run, own[str(run.config["checkpoint"])]) for run in runs]
+    """Every run with the name of its policy, which has a number where the runs have several."""
+    of_run = [tuple(str(run.config.get(key)) for key in POLICY) for run in runs]
+    policies = list(dict.fromkeys(of_run))
+    own = {each: ADAPTIVE if len(policies) == 1 else f"{ADAPTIVE}_{i}" for i, each in enumerate(policies, 1)}
+    return [(run, own[policy]) for run, policy in zip(runs, of_run, strict=True)]
 
 
 def _fixed(config: Mapping[str, Any]) -> dict[str, float]:

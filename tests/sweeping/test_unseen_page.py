@@ -41,12 +41,19 @@ def episodes(outcomes: dict[str, list[str]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def make_run(outputs: Path, case: str, checkpoint: str, outcomes: dict[str, list[str]]) -> None:
-    folder = outputs / f"unseen-v1.{case}" / f"seed1-{checkpoint}"
+def make_run(
+    outputs: Path,
+    case: str,
+    checkpoint: str,
+    outcomes: dict[str, list[str]],
+    action: str = "sample",
+    layer: str = "none",
+) -> None:
+    folder = outputs / f"unseen-v1.{case}" / f"seed1-{checkpoint}-{action}-{layer}"
     folder.mkdir(parents=True)
     baselines = {"fixed_6": {"kind": "fixed", "horizon_s": 6.0}, "cautious": {"kind": "cautious"}}
     config = {"name": f"unseen-v1.{case}", "seed": 1, "checkpoint": checkpoint, "stages": ["evaluate"]}
-    config["evaluation"] = {"baselines": baselines}
+    config |= {"evaluation": {"baselines": baselines, "action": action}, "safety": {"kind": layer}}
     (folder / "config.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
     write_record(folder, RunRecord("key", "s", {}, {"evaluate": {"config": "c", "source": "s"}}))
     (folder / "metrics.json").write_text(json.dumps({}), encoding="utf-8")
@@ -114,6 +121,23 @@ def test_several_checkpoints_are_told_apart_and_baselines_count_once(outputs: Pa
     unseen.main([str(outputs)])
     rows = pd.read_csv(outputs / "unseen.csv").set_index(["case", "planner"])["success_rate"]
     assert rows["bus"].to_dict() == {"adaptive_1": 0.75, "fixed_6": 0.75, "cautious": 0.25, "adaptive_2": 0.0}
+
+
+def test_two_ways_to_act_are_two_policies(outputs: Path) -> None:
+    make_run(outputs, "bus", "a.safetensors", {**OUTCOMES, "adaptive": ["collision"] * 4}, action="greedy")
+    unseen.main([str(outputs)])
+    rows = pd.read_csv(outputs / "unseen.csv").set_index(["case", "planner"])["success_rate"]
+    assert {rows["bus", "adaptive_1"], rows["bus", "adaptive_2"]} == {0.0, 0.75}
+
+
+def test_runs_with_another_safety_layer_need_a_folder_of_their_own(
+    outputs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_run(outputs, "bus", "a.safetensors", OUTCOMES, layer="rss")
+    assert unseen.main([str(outputs)]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("safety.kind must be the same in all runs of a case, got ")
+    assert said.endswith("for bus; give each its own outputs\n")
 
 
 def test_a_folder_without_runs_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
