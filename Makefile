@@ -18,6 +18,9 @@ DOCS := build/docs
 ARGS ?=
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/requirements.lock
 
+# compiled Python is kept, since tests start many processes
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help setup yield push play unseen smoke compare test test-slow test-sweeps lint lock ui docs docs-serve
 
 help:  ## list the targets

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # whose parts are imported where they are first used, half a second later than the rest
 
 CONFIDENCE = 0.95
 """Probability with which an interval is meant to contain the quantity."""
@@ -41,7 +41,7 @@ def rate(is_hit: np.ndarray) -> Estimate:
     """
     if is_hit.ndim != 1 or is_hit.dtype != np.bool_ or len(is_hit) == 0:
         raise ValueError(f"is_hit must be [N] bool with N > 0, got {list(is_hit.shape)} {is_hit.dtype}")
-    test = stats.binomtest(int(is_hit.sum()), len(is_hit))
+    test = scipy.stats.binomtest(int(is_hit.sum()), len(is_hit))
     interval = test.proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(float(test.statistic), float(interval.low), float(interval.high))
 
@@ -136,7 +136,7 @@ def _bootstrap(
     value = float(statistic(*samples, axis=-1))
     if min(map(len, samples)) == 1:
         return Estimate(value, np.nan, np.nan)
-    interval = stats.bootstrap(
+    interval = scipy.stats.bootstrap(
         samples,
         statistic,
         n_resamples=N_RESAMPLES,
@@ -155,12 +155,12 @@ def _mean_less_mean(a: np.ndarray, b: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _interquartile_mean(scores: np.ndarray, axis: int) -> np.ndarray:
-    return stats.trim_mean(scores, 0.25, axis)
+    return scipy.stats.trim_mean(scores, 0.25, axis)
 
 
 def _share_of_wins(a: np.ndarray, b: np.ndarray, axis: int) -> np.ndarray:
     """U / (S S') with U = R - S (S + 1) / 2, R the sum of the ranks of a among both (Mann and Whitney 1947)."""
     n_a, n_b = a.shape[axis], b.shape[axis]
-    rank = stats.rankdata(np.concatenate([a, b], axis), axis=axis)
+    rank = scipy.stats.rankdata(np.concatenate([a, b], axis), axis=axis)
     u = np.take(rank, np.arange(n_a), axis).sum(axis) - n_a * (n_a + 1) / 2
     return u / (n_a * n_b)

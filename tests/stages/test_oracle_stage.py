@@ -25,6 +25,7 @@ TINY = (
     "oracle.n_episodes=2",
     "oracle.population=3",
     "oracle.rounds=1",
+    "scenario.episode_steps=56",
 )
 
 
@@ -75,7 +76,7 @@ def test_what_was_found_can_be_driven_as_a_planner(ran: RecordedRun, tmp_path: P
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["scenario.road.corridor_length_m=11.0"], "must be of this road, planner and reward"),
+        (["scenario.road.corridor_length_m=16.0"], "must be of this road, planner and reward"),
         (["scenario.episode_steps=20"], "planner and reward and return .* got longer episodes"),
         (
             ["evaluation.n_episodes=1", "oracle.n_episodes=1"],
