@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 import torch
 from composed import compose_config
-from test_resume import SMALL, drive
+from killed import SMALL, drive
 
 from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
