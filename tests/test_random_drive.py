@@ -52,6 +52,7 @@ N_STEPS = -(-N_DECISIONS // N_WORLDS)
     ids=["default", "mixed", "streets", "traffic"],
 )
 def test_the_world_stays_sound(options: tuple[str, ...]) -> None:
+    torch.set_num_threads(min(4, os.cpu_count() or 1))  # one test at a time: they are slow
     streets = drive_at_random(options, N_WORLDS, N_STEPS, is_compiled=has_compiler())
     assert len(streets) >= (min(LEAST_STREETS, N_WORLDS // 2) if "scenario=random_streets" in options else 1)
 
