@@ -69,10 +69,21 @@ def _contact(trace: Trace, episode: int, gap_m: np.ndarray) -> str:
     name = "an oncoming vehicle" if is_oncoming else "a vehicle behind" if is_behind else "a vehicle ahead"
     ego_drives, other_drives = (_doing(trace, episode, vehicle) == "drove" for vehicle in (EGO, other))
     if ego_drives and other_drives:
+        if _backs_away(trace, episode, other):
+            return f"{name} drove into the ego as it drove back"
         return f"the ego and {name} drove into each other"
     if ego_drives:
         return f"the ego drove into {name} at rest"
     return f"{name} drove into the ego at rest" if other_drives else f"the ego and {name} touched at rest"
+
+
+def _backs_away(trace: Trace, episode: int, other: int) -> bool:
+    """Whether the ego drove backwards, away from the other vehicle in front of it."""
+    before = max(0, trace.n_steps[episode] - 1)
+    yaw = trace.yaw_rad[before, episode, EGO]
+    to_other = trace.position_m[before, episode, other] - trace.position_m[before, episode, EGO]
+    is_in_front = np.cos(yaw) * to_other[0] + np.sin(yaw) * to_other[1] > 0
+    return bool(is_in_front and trace.speed_mps[before, episode, EGO] < 0)
 
 
 def _is_followed(trace: Trace, episode: int) -> bool:

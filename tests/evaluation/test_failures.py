@@ -13,6 +13,8 @@ from negopipe.evaluation.failures import failures
         ((0.0, 3.9), (2.0, 0.0), (0.0, np.pi), "the ego drove into an oncoming vehicle at rest"),
         ((0.0, 3.9), (0.0, 2.0), (0.0, np.pi), "an oncoming vehicle drove into the ego at rest"),
         ((0.0, 3.9), (2.0, 2.0), (0.0, np.pi), "the ego and an oncoming vehicle drove into each other"),
+        ((0.0, 3.9), (-1.0, 2.0), (0.0, np.pi), "an oncoming vehicle drove into the ego as it drove back"),
+        ((0.0, -3.9), (-1.0, 2.0), (0.0, 0.0), "the ego and a vehicle behind drove into each other"),
         ((0.0, 3.9), (0.0, 0.2), (0.0, np.pi), "the ego and an oncoming vehicle touched at rest"),
         ((0.0, -3.9), (0.0, 1.0), (0.0, 0.0), "a vehicle behind drove into the ego at rest"),
         ((0.0, 3.9), (1.0, 0.0), (0.0, 0.1), "the ego drove into a vehicle ahead at rest"),
