@@ -97,6 +97,8 @@ def plan_of(runtime: Negotiator) -> Trajectory:
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="needs CMake")
 def test_python_and_cpp_decide_as_the_simulator_does(tmp_path: Path) -> None:
+    for name in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(name)
     """Exporting and compiling take minutes."""
     export, build = tmp_path / "export", tmp_path / "build"
     overrides = ["+experiment=yield", "evaluation.action=sample", "export.files=[policy,decision,package]"]
