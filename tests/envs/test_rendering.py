@@ -89,6 +89,7 @@ def test_copies_go_on_drawing(env: NarrowLaneEnv, duplicate: Any) -> None:
     assert np.array_equal(env.render(), other.render())
 
 
+@pytest.mark.slow
 def test_streets_of_many_shapes_have_pictures_of_one_shape() -> None:
     env = NarrowLaneEnv((), "rgb_array", ("+experiment=streets", "evaluation.settings=[mixture]"))
     pictures = []

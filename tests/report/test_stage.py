@@ -137,6 +137,7 @@ def test_the_report_is_written_and_logged(
     assert len(list((run.folder / "animations").glob("*.gif"))) == 7
 
 
+@pytest.mark.slow
 def test_a_planner_may_have_driven_the_first_tasks_only(pushed: RecordedRun, table: pd.DataFrame) -> None:
     traces = load_traces(pushed.folder / "traces.npz")
     few = [trace.first(3) if trace.planner == "fixed_6" else trace for trace in traces]

@@ -131,6 +131,7 @@ def test_what_is_refused_is_told_in_one_line(override: str, line: str) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_checkpoint_describes_five_horizons(config: RunConfig, run: RecordedRun) -> None:
     path = run.folder / CHECKPOINT_NAME
     assert load_checkpoint(path)[1]["policy"]["horizons_s"] == [0.0, 2.0, 4.0, 6.0, "inf"]
@@ -140,6 +141,7 @@ def test_a_checkpoint_describes_five_horizons(config: RunConfig, run: RecordedRu
         load_policy(path, replace(config, policy=replace(config.policy, horizons_s=(0.0, 2.0, 4.0, 6.0, 1.0))))
 
 
+@pytest.mark.slow
 def test_episodes_name_the_horizon_and_count_it_as_a_plan(run: RecordedRun) -> None:
     table = episodes(run)
     assert set(table["style_horizon_s"]) == {2.0, INF}
@@ -154,6 +156,7 @@ def test_episodes_name_the_horizon_and_count_it_as_a_plan(run: RecordedRun) -> N
         assert rows["mean_horizon_s"].to_numpy(float) == pytest.approx(np.array(means))
 
 
+@pytest.mark.slow
 def test_a_replay_is_the_same_bit_for_bit(config: RunConfig, run: RecordedRun) -> None:
     game, table = build_game(config), episodes(run)
     tasks = held_out_tasks(config, game, "mixture")
@@ -168,6 +171,7 @@ def test_a_replay_is_the_same_bit_for_bit(config: RunConfig, run: RecordedRun) -
                 assert np.array_equal(then, now, equal_nan=then.dtype.kind == "f"), field.name
 
 
+@pytest.mark.slow
 def test_files_are_json_and_the_page_has_the_sign(run: RecordedRun) -> None:
     for path in run.folder.glob("*.json"):
         assert "Infinity" not in path.read_text(), path.name

@@ -160,6 +160,7 @@ print(json.dumps({part: [before[part], after[part]] for part in before if before
 """
 
 
+@pytest.mark.slow
 def test_nothing_of_the_process_is_changed() -> None:
     result = subprocess.run([sys.executable, "-c", CHANGES], capture_output=True, text=True, check=True, timeout=120)
     changes = json.loads(result.stdout.splitlines()[-1])

@@ -43,6 +43,7 @@ def folder(shown_config: RunConfig, shown_game: Game, tmp_path_factory: pytest.T
     return place
 
 
+@pytest.mark.slow
 def test_they_are_successes_and_kept(shown_config: RunConfig, shown_game: Game, folder: Path) -> None:
     table = pd.read_csv(folder / "demonstrations.csv")
     assert table["family"].tolist() == ["push"] * 3 + ["yield"] * 3
@@ -52,6 +53,7 @@ def test_they_are_successes_and_kept(shown_config: RunConfig, shown_game: Game, 
     assert (folder / "demonstrations.csv").stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_the_policy_is_shown_what_it_would_see(shown_config: RunConfig, shown_game: Game, folder: Path) -> None:
     table = pd.read_csv(folder / "demonstrations.csv")
     shown = demonstrations(shown_config, shown_game, folder)
