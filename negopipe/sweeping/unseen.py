@@ -71,8 +71,7 @@ OVERALL = (
 class Cases(NamedTuple):
     """Episodes of all planners in all cases.
 
-    episodes: rows of the runs' episodes.csv with the column `case`; a policy has a number where there
-        are several
+    episodes: rows of the runs' episodes.csv with the column `case`; a policy has a number where there are several
     fixed_s: horizon of each baseline that has a fixed one
     """
 
