@@ -36,7 +36,7 @@ REFERENCE = "cautious"
 """Planner that all others are compared with, task by task."""
 POLICY = ("checkpoint", "evaluation.action")
 """Keys that tell the policies apart."""
-CAR = ("planner.", "safety.", "perception.", "vehicle.")
+CAR = ("planner.", "safety.", "perception.", "dynamics.")
 """Beginnings of keys that are the same for every planner of a case."""
 RANDOM_SEED = 0
 """Seed of the bootstrap: the same runs give the same intervals."""
