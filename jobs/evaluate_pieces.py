@@ -1,4 +1,4 @@
-"""A large evaluation in pieces, which merge to the bytes that one evaluation of all tasks writes.
+"""A large evaluation in pieces, which merge to what one evaluation of all tasks writes.
 
     python jobs/evaluate_pieces.py drive <folder> --episodes 1000000 --of 256 --piece 3 [overrides]
     python jobs/evaluate_pieces.py merge <folder>
@@ -6,8 +6,10 @@
 `drive` drives every planner through a range of the tasks of every setting and writes the rows to one file. A piece that
 is there is not driven again. Pieces may be driven in any order, on any machines that share the folder:
 jobs/slurm_evaluate.sh is an array job, and `--piece 0-255` drives several one after the other. `merge` writes
-episodes.csv and metrics.json, those of `stages=[evaluate]` with as many episodes. Overrides must choose a policy with
-`checkpoint`. Baselines that drive a part of the tasks, and the oracle, belong to whole evaluations only.
+episodes.csv and metrics.json, those of `stages=[evaluate]` with as many episodes: to the last byte where the simulator
+is compiled. With compile=off the last digits may differ, since a product of matrices rounds by their size on some
+processors. Overrides must choose a policy with `checkpoint`. Baselines that drive a part of the tasks, and the oracle,
+belong to whole evaluations only.
 """
 
 import argparse
@@ -26,7 +28,7 @@ from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
 from negopipe.evaluation.episodes_file import EPISODES, EPISODES_NAME
 from negopipe.evaluation.held_out import held_out_tasks
-from negopipe.game.game import Game
+from negopipe.game.game import Game, has_compiler
 from negopipe.policy.actor_critic import ActorCritic
 from negopipe.runtime import backend
 from negopipe.runtime.build import build, load_weights
@@ -50,7 +52,8 @@ def config_of(n_episodes: int, n_pieces: int, overrides: Sequence[str]) -> RunCo
     n_own = -(-n_episodes // n_pieces)
     settings = SETTINGS if is_of_grids else SETTINGS[:2]
     config = load_config(*overrides, *settings, f"evaluation.n_episodes={n_own}", "stages=[evaluate]")
-    config = replace(config, compile="off" if config.compile == "auto" else config.compile)
+    if config.compile == "auto":
+        config = replace(config, compile="on" if has_compiler() else "off")
     partial = [name for name, baseline in config.evaluation.baselines.items() if baseline.n_driven is not None]
     if partial:
         raise UserError(f"evaluation.baselines must drive all tasks for an evaluation in pieces, got {partial[0]}")

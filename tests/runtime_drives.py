@@ -152,7 +152,7 @@ def drive_in_simulator(n_steps: int, *overrides: str, seed: int) -> list[World]:
         is_drawn = config.evaluation.action == "sample"
         action = drawn_action(logits, world.task.noise_seed, world.step) if is_drawn else greedy_action(logits)
         horizon = horizons[action]
-        world, events = game.drive(world, game.choose(world, horizon))
+        world, events, *_ = game.drive(world, game.choose(world, horizon))
         worlds.append(world)
         if bool((events.is_terminated | events.is_truncated)[0]):
             break

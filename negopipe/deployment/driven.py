@@ -45,7 +45,7 @@ def _drive(game: Game, world: World, choose: Callable[[World], Tensor], n_most: 
     while n_made < n_most and len(world.step) > 0:
         world = map_tensors(lambda field, n=n_most - n_made: field[:n], world)
         n_made += len(world.step)
-        world, events = game.drive(world, game.choose(world, choose(world)))
+        world, events, *_ = game.drive(world, game.choose(world, choose(world)))
         is_running = (~(events.is_terminated | events.is_truncated)).nonzero()[:, 0]
         world = map_tensors(lambda field, at=is_running: field.index_select(0, at), world)
     return n_made

@@ -16,34 +16,19 @@ from negopipe.envs.overrides import in_one_line
 from negopipe.envs.own_streams import OwnStreams
 from negopipe.errors import UserError
 from negopipe.game.environment import NegotiationEnv
-from negopipe.game.game import Game, build_game
+from negopipe.game.game import Driven, Game, build_game
 from negopipe.learning.rollout import Transition
 from negopipe.observation.objects import ObjectsConfig
 from negopipe.observation.occupancy_grid import OccupancyGridConfig
 from negopipe.runtime.build import with_learned
 from negopipe.simulation.scenario import TaskSampler
-from negopipe.simulation.simulator import Events
-from negopipe.simulation.state import Motion, World
+from negopipe.simulation.state import World
 from negopipe.tensors.torch_settings import own_settings
 
 OCCUPIED = 255
 """Value of an occupied cell in an observation."""
 MOST = 2**62
 """Upper bound of the numbers that streams of tasks are seeded with."""
-
-
-class Decision(NamedTuple):
-    """What a decision of all worlds led to.
-
-    motion: how the vehicles moved
-    intervention: [E] int64, of the safety layer
-    moved, events: the state before new tasks, and its events
-    """
-
-    motion: Motion
-    intervention: Tensor
-    moved: World
-    events: Events
 
 
 class EpisodeEnd(NamedTuple):
@@ -74,19 +59,15 @@ class Worlds:
         sampler = TaskSampler(scenario, config.evaluated_families, torch.Generator(), assign, scenario.training_streets)
         self._streams = OwnStreams(sampler, self.n_worlds)
         learners = self._game.cast.learners if self.is_self_play else ()
-        game = replace(self._game, advance=self._advance)
+        game = replace(self._game, drive=self._drive)
         self._env = NegotiationEnv(
             game, config.reward, config.policy.horizons_s, self._streams, self.n_worlds, learners
         )
 
-    def _advance(self, world: World, horizon: Tensor) -> tuple[World, Events, Tensor]:
-        """`Game.advance`, whose parts are kept for the record."""
-        perception = self._game.perceive(world)
-        planned = self._game.plan(perception, horizon)
-        world, motion, intervention = self._game.guard(world, perception, planned)
-        moved, events = self._game.step(world, motion)
-        self._decision = Decision(motion, intervention, moved, events)
-        return moved, events, self._game.see(moved)
+    def _drive(self, world: World, horizon: Tensor) -> Driven:
+        """`Game.drive`, which is kept for the record."""
+        self._driven = self._game.drive(world, horizon)
+        return self._driven
 
     @property
     def game(self) -> Game:
@@ -145,10 +126,10 @@ class Worlds:
             what = "an integer" if n == 1 else f"{n} integers"
             raise UserError(f"action must be {what} from 0 to {n_actions - 1}, got {in_one_line(action)}")
         reached = self._env.step(torch.tensor(given.reshape(-1).astype(np.int64)))
-        decision, of_egos = self._decision, slice(self.n_worlds)
-        rows = {"intervention": decision.intervention.numpy(), "reward": reached.reward[of_egos].numpy()}
-        self.record.add(self._game, decision.moved, decision.motion, rows)
-        is_over = decision.events.is_terminated | decision.events.is_truncated
+        driven, of_egos = self._driven, slice(self.n_worlds)
+        rows = {"intervention": driven.intervention.numpy(), "reward": reached.reward[of_egos].numpy()}
+        self.record.add(self._game, driven.world, driven.motion, rows)
+        is_over = driven.events.is_terminated | driven.events.is_truncated
         which = is_over.nonzero()[:, 0].numpy()
         self.ended = {world: self._end(world) for world in which.tolist()}
         if len(which):
@@ -156,7 +137,7 @@ class Worlds:
         return reached
 
     def _end(self, world: int) -> EpisodeEnd:
-        moved, events = self._decision.moved, self._decision.events
+        moved, events, *_ = self._driven
         outcome = self.record.outcome(self._game, moved, events, world)
         limits, plan_s = self.config.planner.limits, self.config.planner.horizon_s
         values = metrics(self.record.trace(world, outcome), limits.full_braking_mps2, plan_s)

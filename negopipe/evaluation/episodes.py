@@ -13,7 +13,7 @@ from negopipe.agents.drivers import BaselineConfig
 from negopipe.checks import Foresight, Memory, Problem, check_names
 from negopipe.evaluation.names import FixedHorizons
 from negopipe.evaluation.trace import ADAPTIVE, EPISODE_AXIS, ORACLE, OUTCOMES, Trace, trace_bytes
-from negopipe.game.game import Game
+from negopipe.game.game import Driven, Game
 from negopipe.game.reward import RewardConfig, reward
 from negopipe.schema import Distinct, FileName, PathText, PositiveInt, Seed, schema
 from negopipe.simulation.scenario import ScenarioConfig
@@ -109,22 +109,24 @@ def drive_seats(game: Game, seats: Seats, tasks: Task, reward_config: RewardConf
 
 def warm_up(game: Game, make_ego: MakeDriver | Callable[[Tensor], None], tasks: Task) -> None:
     """Make a first decision of all drivers in `tasks`, which compiles everything that driving needs."""
-    world = game.simulator.reset(tasks)
-    world, motion, _ = motion_of(game, _seats(make_ego(tasks.noise_seed)), world)
-    game.step(world, motion)
+    decide(game, _seats(make_ego(tasks.noise_seed)), game.simulator.reset(tasks))
 
 
 def _seats(ego: Driver | None) -> Seats:
     return {} if ego is None else {EGO: ego}
 
 
-def motion_of(game: Game, seats: Seats, world: World) -> tuple[World, Motion, Tensor]:
-    """Motion of all vehicles [E, V], as far as the safety layer lets it: see `Game.guard`."""
+def decide(game: Game, seats: Seats, world: World) -> Driven:
+    """One decision of the drivers in `seats` and of the population's in the rest."""
     horizons = game.choose(world, torch.full_like(world.step, torch.nan, dtype=torch.float32))
-    cast = [HorizonDriver(given_horizon(column), game.plan) for column in horizons.split(1, dim=1)]
     perception = game.perceive(world)
-    drivers = [seats.get(vehicle, driver) for vehicle, driver in enumerate(cast)]
-    return game.guard(world, perception, drive_together(drivers, perception))
+    drivers = [seats.get(v, HorizonDriver(given_horizon(h), game.plan)) for v, h in enumerate(horizons.split(1, 1))]
+    planned = [driver for driver in drivers if isinstance(driver, HorizonDriver) and driver.plan == game.plan]
+    if len(planned) == len(drivers):  # as in training, so that nothing else has to be compiled
+        chosen = [driver.choose_horizon(perception.of(vehicle)) for vehicle, driver in enumerate(planned)]
+        return game.drive(world, torch.cat(chosen, 1))
+    world, motion, intervention = game.guard(world, perception, drive_together(drivers, perception))
+    return Driven(*game.step(world, motion), motion, intervention)
 
 
 def _record(
@@ -173,8 +175,7 @@ def _decide(
     Returns all worlds, and the events and the row of the decision of those R.
     """
     before = map_tensors(lambda field: field.index_select(0, which), world)
-    before, motion, intervention = motion_of(game, seats, before)
-    moved, events = game.step(before, motion)
+    moved, events, motion, intervention = decide(game, seats, before)
     moved = tree_where(is_running, moved, before)
     world = map_tensors(lambda field, new: field.index_copy(0, which, new), world, moved)
     events = map_tensors(lambda field: field & is_running, events)

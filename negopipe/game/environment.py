@@ -90,8 +90,8 @@ class NegotiationEnv:
         horizons = self.game.choose(world, chosen[:, EGO])
         if len(self._learners):
             horizons = torch.where(self._drives_as_learner(world), chosen, horizons)
-        moved, events, seen = self.game.advance(world, horizons)
-        reached = self._seen(moved, seen)
+        moved, events, *_ = self.game.drive(world, horizons)
+        reached = self._seen(moved, self.game.see(moved))
         has_crashed = (moved.has_collided & ~world.has_collided)[:, : self._n_seats]
         has_crashed = has_crashed | events.is_collision[:, None]  # of the ego, which ends the episode for all
         is_terminated = (has_crashed | events.is_terminated[:, None]).T.flatten()

@@ -3,7 +3,7 @@
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -54,9 +54,27 @@ class GameConfig(Protocol):
     def safety(self) -> SafetyConfig: ...
 
 
+class Driven(NamedTuple):
+    """A decision of E worlds and what it led to.
+
+    world: World, one control step later
+    events: Events of the step
+    motion: Motion [E, V] of all vehicles
+    intervention: [E] int64, of the safety layer
+    """
+
+    world: World
+    events: Events
+    motion: Motion
+    intervention: Tensor
+
+
 @dataclass(frozen=True)
 class Game:
     """The parts of one decision, each a function of tensors, eager or compiled, for any number of worlds.
+
+    Most decisions are made by `drive`. `guard` and `step` are for the few drivers that move by a rule of their own.
+    They are not compiled, since that takes longer than what those drive.
 
     simulator: resets worlds and knows the road
     planner: the planner of `plan`
@@ -68,8 +86,7 @@ class Game:
         interventions [E] int64 (`negopipe.safety.layer`)
     step: World, Motion [E, V] -> World, Events
     draw: Perception of one agent -> observations [E, *obs]
-    drive: World, horizon [E, V] (s) -> World, Events: perceive, plan, guard and step in one call, for all vehicles
-    advance: World, horizon [E, V] (s) -> World, Events, observations of the ego: `drive` and `see` in one call
+    drive: World, horizon [E, V] (s) -> Driven: perceive, plan, guard and step in one call, for all vehicles
     see: World -> observations of the ego [E, *obs]: perceive and draw in one call
     see_as: World, vehicle [E] int64 -> observations of that vehicle [E, *obs]
     watch: another kind of observation -> a function as `see_as` with it
@@ -85,8 +102,7 @@ class Game:
     guard: Callable[[World, Perception, Motion], tuple[World, Motion, Tensor]]
     step: Callable[[World, Motion], tuple[World, Events]]
     draw: Callable[[Perception], Tensor]
-    drive: Callable[[World, Tensor], tuple[World, Events]]
-    advance: Callable[[World, Tensor], tuple[World, Events, Tensor]]
+    drive: Callable[[World, Tensor], Driven]
     see: Callable[[World], Tensor]
     see_as: Callable[[World, Tensor], Tensor]
     watch: Callable[[Observation], Callable[[World, Tensor], Tensor]]
@@ -110,14 +126,10 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         moved, events = simulator.step(world, motion.state)
         return replace(moved, last_horizon=motion.horizon), events
 
-    def drive(world: World, horizon: Tensor) -> tuple[World, Events]:
+    def drive(world: World, horizon: Tensor) -> Driven:
         perception = sensor.perceive(world)
-        world, motion, _ = guard.guard(world, perception, plan(perception, horizon))
-        return step(world, motion)
-
-    def advance(world: World, horizon: Tensor) -> tuple[World, Events, Tensor]:
-        moved, events = drive(world, horizon)
-        return moved, events, observation.draw(sensor.perceive(moved).of(EGO))
+        world, motion, intervention = guard.guard(world, perception, plan(perception, horizon))
+        return Driven(*step(world, motion), motion, intervention)
 
     def watch(shown: Observation) -> Callable[[World, Tensor], Tensor]:
         return accelerate(lambda world, vehicle: shown.draw(sensor.perceive(world).of_each(vehicle)))
@@ -131,11 +143,10 @@ def build_game(config: GameConfig, device: torch.device | str = "cpu", is_compil
         choose=World.horizons,
         plan=accelerate(plan),
         perceive=sensor.perceive,
-        guard=accelerate(guard.guard) if guard.layer else guard.guard,
-        step=accelerate(step),
+        guard=guard.guard,
+        step=step,
         draw=accelerate(observation.draw),
         drive=accelerate(drive),
-        advance=accelerate(advance),
         see=lambda world: see_as(world, torch.full_like(world.step, EGO)),  # one function to compile less
         see_as=see_as,
         watch=watch,

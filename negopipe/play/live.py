@@ -15,7 +15,7 @@ from negopipe.config.root import as_mapping
 from negopipe.envs.episode_record import EpisodeRecord
 from negopipe.errors import UserError, abbreviate
 from negopipe.evaluation.encounter import CONTROLS, Encounter, horizon_text, is_command, named, person
-from negopipe.evaluation.episodes import motion_of
+from negopipe.evaluation.episodes import decide
 from negopipe.game.reward import reward
 from negopipe.play.arena import Arena, Chooser
 from negopipe.play.scenery import DIGITS
@@ -81,8 +81,7 @@ class LiveEncounter:
         """
         self._take(command, opponent_command)
         game, before = self.arena.game, self._world
-        world, motion, intervention = motion_of(game, self._seats, before)
-        self._world, events = game.step(world, motion)
+        self._world, events, motion, intervention = decide(game, self._seats, before)
         paid = reward(self.arena.config.evaluation.reward, events.is_collision, events.is_success)
         self._record.add(game, self._world, motion, {"intervention": intervention.numpy(), "reward": paid.numpy()})
         is_over = bool((events.is_terminated | events.is_truncated)[0])

@@ -118,7 +118,8 @@ class Rollouts:
         n_steps = torch.zeros_like(actions[:, 0])
         world, rows = self.game.simulator.reset(tasks), torch.arange(len(tasks), device=actions.device)
         while len(rows) > 0:
-            world, events = self.game.drive(world, self.game.choose(world, self._horizons[actions[rows, world.step]]))
+            horizons = self.game.choose(world, self._horizons[actions[rows, world.step]])
+            world, events, *_ = self.game.drive(world, horizons)
             paid[rows] += reward(self.reward_config, events.is_collision, events.is_success).double()
             n_steps[rows] = world.step
             is_over = events.is_terminated | events.is_truncated

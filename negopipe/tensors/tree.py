@@ -1,4 +1,4 @@
-"""Trees of tensors: tensors, tuples and (nested) dataclasses of tensors."""
+"""Trees of tensors: tensors, tuples, named tuples and (nested) dataclasses of tensors."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -16,7 +16,8 @@ def map_tensors(fn: Callable[..., Tensor], *trees: T) -> T:
     if isinstance(first, Tensor):
         return fn(*trees)  # type: ignore[return-value]
     if isinstance(first, tuple):
-        return tuple(map_tensors(fn, *branch) for branch in zip(*trees, strict=True))  # type: ignore[return-value, call-overload]
+        branches = [map_tensors(fn, *branch) for branch in zip(*trees, strict=True)]
+        return type(first)(*branches) if hasattr(first, "_fields") else tuple(branches)  # type: ignore[return-value]
     values = {
         field.name: map_tensors(fn, *(getattr(tree, field.name) for tree in trees))
         for field in fields(first)  # type: ignore[arg-type]

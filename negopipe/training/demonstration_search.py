@@ -109,5 +109,6 @@ def _replay(config: "RunConfig", game: Game, tasks: Task, texts: list[str]) -> t
         is_driving = action >= 0
         seen.append(observation[is_driving])
         actions.append(action[is_driving])
-        world, _, observation = game.advance(world, game.choose(world, horizons[action]))
+        world = game.drive(world, game.choose(world, horizons[action])).world
+        observation = game.see(world)
     return torch.cat(seen), torch.cat(actions)

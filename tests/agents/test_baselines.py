@@ -298,7 +298,7 @@ def test_the_belief_finds_the_style_from_the_motion(
     world = game.simulator.reset(task_with(config, 17.5, style_s))
     n = {2.0: 15, 4.0: 10}[style_s]  # then its prediction has met the ego for some steps
     for _ in range(n):
-        world, _ = game.drive(world, world.horizons(0.0))
+        world = game.drive(world, world.horizons(0.0)).world
     perception = game.perceive(world).of(0)
     chooser = level_k_at(game, baselines)
     belief = chooser.belief(perception, n)[0]

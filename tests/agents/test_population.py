@@ -172,7 +172,7 @@ def test_who_reacts_late_goes_by_what_it_saw() -> None:
         torch.testing.assert_close(seen.other.speed[:, 1], then.other.speed[:, 1])
         assert torch.equal(seen.other.position[:, EGO], now.other.position[:, EGO]), "the ego reacts at once"
         assert torch.equal(seen.other_history, now.other_history)
-        world, _ = late.drive(world, world.horizons(4.0))
+        world = late.drive(world, world.horizons(4.0)).world
     assert not torch.equal(seen.other.position[:, 1], now.other.position[:, 1])
 
 

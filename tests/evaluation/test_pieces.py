@@ -1,4 +1,4 @@
-"""An evaluation in pieces is the evaluation of all tasks, to the last byte."""
+"""An evaluation in pieces is the evaluation of all tasks, to the last byte where it is compiled."""
 
 from pathlib import Path
 
@@ -7,6 +7,7 @@ import pytest
 from scripts import load_script
 from tracked import RecordedRun
 
+from negopipe.game.game import has_compiler
 from negopipe.stages import evaluate
 from negopipe.tracking.metrics_file import read
 
@@ -21,13 +22,14 @@ N_EPISODES, N_PIECES = 7, 3
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not has_compiler(), reason="no C++ compiler")
 def test_pieces_merge_to_the_bytes_of_one_evaluation(tmp_path: Path) -> None:
-    job = load_script("evaluate_pieces")
-    folder, drive = tmp_path / "pieces", ["--episodes", f"{N_EPISODES}", "--of", f"{N_PIECES}", *SMALL]
+    job, options = load_script("evaluate_pieces"), [*SMALL, "compile=on"]
+    folder, drive = tmp_path / "pieces", ["--episodes", f"{N_EPISODES}", "--of", f"{N_PIECES}", *options]
     for pieces in ("2", "0-1"):  # in any order
         assert job.main(["drive", str(folder), "--piece", pieces, *drive]) == 0
     assert job.main(["merge", str(folder)]) == 0
-    config = job.config_of(N_EPISODES, 1, SMALL)
+    config = job.config_of(N_EPISODES, 1, options)
     (tmp_path / "whole").mkdir()
     evaluate.run(config, RecordedRun(tmp_path / "whole"))  # type: ignore[arg-type]
     assert (folder / "episodes.csv").read_bytes() == (tmp_path / "whole" / "episodes.csv").read_bytes()

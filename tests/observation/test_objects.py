@@ -49,7 +49,7 @@ def objects_of(config: RunConfig) -> ObjectsConfig:
 def driven(game: Game, tasks: Task, n_steps: int, horizon: tuple[float, ...] = (2.0, 4.0)) -> World:
     world = game.simulator.reset(tasks)
     for _ in range(n_steps):
-        world, _ = game.drive(world, torch.tensor([horizon]).expand(len(tasks), -1))
+        world = game.drive(world, torch.tensor([horizon]).expand(len(tasks), -1)).world
     return world
 
 

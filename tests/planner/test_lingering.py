@@ -66,7 +66,7 @@ def n_successes(n: int, ego_s: float, *overrides: str) -> int:
     world, horizon = game.simulator.reset(task), torch.tensor([[ego_s, 2.0]]).expand(n, 2)
     is_success = torch.zeros(n, dtype=torch.bool)
     for _ in range(100):
-        world, events = game.drive(world, horizon)
+        world, events, *_ = game.drive(world, horizon)
         is_success |= events.is_success
     return int(is_success.sum())
 

@@ -25,7 +25,7 @@ def test_a_car_that_lags_behind_its_plan_leaves_the_place_where_it_waited() -> N
     world = game.simulator.reset(pushed(config, 48).draw(48))
     horizon = torch.tensor([[0.0, 6.0]]).expand(48, 2)
     for _ in range(config.scenario.episode_steps):
-        world, _ = game.drive(world, horizon)
+        world = game.drive(world, horizon).world
         if world.has_reached.all():
             break
     assert world.has_reached.all()

@@ -32,7 +32,7 @@ def negotiate(ego_s: float, *overrides: str) -> Outcome:
     world, horizon = game.simulator.reset(task), torch.tensor([[ego_s, 2.0]]).expand(N_WORLDS, 2)
     is_success, rests = torch.zeros(N_WORLDS, dtype=torch.bool), []
     for _ in range(N_STEPS):
-        world, events = game.drive(world, horizon)
+        world, events, *_ = game.drive(world, horizon)
         is_success |= events.is_success
         road = game.simulator.road
         route = road.to_route(world.vehicles, task.direction)

@@ -87,7 +87,7 @@ def test_a_decision_or_a_plan_of_nan_is_a_planned_stop_and_then_the_last_plan(co
 
 def test_the_last_plan_is_followed_at_its_speed_for_a_while(config: RunConfig, game: Game) -> None:
     world = meet(config, game, [[-40.0, -40.0]], [[5.0, 5.0]])
-    world, _ = game.drive(world, torch.zeros(1, 2))
+    world = game.drive(world, torch.zeros(1, 2)).world
     before, numbers = float(world.vehicles.speed[0, EGO]), []
     for _ in range(7):
         world, motion, number = game.guard(world, game.perceive(world), planned(game, world, float("nan")))
@@ -102,7 +102,7 @@ def test_the_stop_of_a_lost_plan_ends_at_the_waiting_place(config: RunConfig, ga
     world = meet(config, game, [[-20.0, -20.0]], [[5.0, 0.0]])
     horizon = torch.tensor([[torch.nan, 0.0]])
     for _ in range(60):
-        world, _ = game.drive(world, horizon)
+        world = game.drive(world, horizon).world
     assert not world.has_collided.any()
     s = game.simulator.road.progress(world.vehicles.position, world.task.direction)[0, EGO]
     waiting = layer.passage.waiting_s(s, world.task.direction[0, EGO], config.scenario.sizes.ego.length)

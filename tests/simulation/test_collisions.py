@@ -38,7 +38,7 @@ def test_nobody_passes_through_anybody(overrides: list[str]) -> None:
     has_met = torch.zeros(64, 2, dtype=torch.bool)
     for _ in range(round(8.0 / config.scenario.dt_s)):
         before = world.has_collided
-        world, _ = game.drive(world, blind)
+        world = game.drive(world, blind).world
         is_new = world.has_collided & ~before
         has_met |= is_new & game.simulator.touches(world)  # the record shows them where they met
     assert has_met.all()

@@ -112,8 +112,8 @@ def test_numbers_and_tensors_give_the_same_drives(population: str, monkeypatch: 
         game = build_game(config)
         world = game.simulator.reset(task)
         for _ in range(24):
-            world, _, grids = game.advance(world, game.choose(world, torch.full((12,), 6.0)))
-        ends.append((world.vehicles.position, world.has_collided, grids))
+            world = game.drive(world, game.choose(world, torch.full((12,), 6.0))).world
+        ends.append((world.vehicles.position, world.has_collided, game.see(world)))
     assert torch.equal(ends[0][1], ends[1][1])
     torch.testing.assert_close(ends[0][0], ends[1][0], atol=1e-3, rtol=0)
     assert float((ends[0][2] != ends[1][2]).float().mean()) < 1e-4
@@ -150,5 +150,5 @@ def run(game: Game, task: Task, n_steps: int) -> torch.Tensor:
     """[E, V, 2] m: where the vehicles are after a while; the ego's horizon changes."""
     world = game.simulator.reset(task)
     for step in range(n_steps):
-        world, _ = game.drive(world, game.choose(world, torch.full((len(task),), 2.0 * (step // 10))))
+        world = game.drive(world, game.choose(world, torch.full((len(task),), 2.0 * (step // 10)))).world
     return world.vehicles.position

@@ -211,5 +211,5 @@ def test_social_drivers_may_give_way() -> None:
     tasks = held_out_tasks(some, game, "mixture")
     world = game.simulator.reset(tasks)
     assert (world.style_horizon[:, NEAREST] == INF).all()
-    moved, _ = game.drive(world, game.choose(world, torch.full_like(tasks.start_speed[:, EGO], INF)))
+    moved = game.drive(world, game.choose(world, torch.full_like(tasks.start_speed[:, EGO], INF))).world
     assert moved.vehicles.position.isfinite().all()

@@ -28,7 +28,7 @@ def test_a_recorded_game_is_the_same_as_the_eager_one(overrides: list[str]) -> N
     world = map_tensors(lambda field: field.cuda(), on_cpu)
     horizon = torch.full((40, config.scenario.n_vehicles), 4.0, device="cuda")
     for _ in range(10):
-        expected, found = eager.advance(world, horizon), recorded.advance(world, horizon)
+        expected, found = eager.drive(world, horizon), recorded.drive(world, horizon)
         for a, b in zip(tensors(expected[0]), tensors(found[0]), strict=True):
             assert torch.equal(torch.nan_to_num(a.float()), torch.nan_to_num(b.float()))
         world = expected[0]

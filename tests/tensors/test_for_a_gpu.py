@@ -44,7 +44,8 @@ def start(game: Game) -> World:
 
 def driven(game: Game, world: World, n_steps: int) -> World:
     for _ in range(n_steps):
-        world, *_ = game.advance(world, torch.full((N_WORLDS, N_VEHICLES), 4.0))
+        world = game.drive(world, torch.full((N_WORLDS, N_VEHICLES), 4.0)).world
+        game.see(world)
     return world
 
 

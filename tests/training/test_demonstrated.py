@@ -66,7 +66,7 @@ def test_the_policy_is_shown_what_it_would_see(shown_config: RunConfig, shown_ga
     world = shown_game.simulator.reset(tasks)
     assert torch.equal(shown.observation[:3], shown_game.see(world))
     horizon = world.horizons(torch.tensor(shown_config.policy.horizons_s)[shown.action[:3]])
-    assert torch.equal(shown.observation[3:6], shown_game.advance(world, horizon)[2])
+    assert torch.equal(shown.observation[3:6], shown_game.see(shown_game.drive(world, horizon).world))
 
 
 def test_its_tasks_are_training_tasks_and_not_held_out(shown_config: RunConfig, shown_game: Game) -> None:

@@ -95,7 +95,7 @@ class LevelK:
         horizon = torch.cat([pairs[:, :1], pairs[:, 1:].expand(-1, now.speed.shape[1] - 1)], 1)
         start = self._progress(world)
         for _ in range(self._n_steps(self.config.lookahead_s)):
-            world, _ = self.game.drive(world, horizon)
+            world = self.game.drive(world, horizon).world
         driven = self._progress(world) - start
         own, other = driven[:, EGO], driven[:, EGO + 1]
         crash = self.config.collision_m * world.has_collided.any(-1)
