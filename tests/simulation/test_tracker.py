@@ -289,7 +289,8 @@ def test_a_batch_equals_single_worlds(three_social_config: RunConfig) -> None:
         task = map_tensors(lambda field, e=e: field[e : e + 1], tasks)
         alone = drive(game, game.simulator.reset(task), 12)[-1]
         for one, many in zip(tensors(alone), tensors(together), strict=True):
-            assert torch.equal(one[0].nan_to_num(), many[e].nan_to_num())
+            # float32 products of matrices of another size: their last digits differ on some processors
+            torch.testing.assert_close(one[0], many[e], atol=1e-4, rtol=1e-4, equal_nan=True)
 
 
 def test_without_a_tracker_a_world_holds_nothing_of_it(config: RunConfig, game: Game) -> None:
