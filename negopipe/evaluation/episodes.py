@@ -140,7 +140,7 @@ def _record(
     is_success = is_collision = ~is_running
     for _ in range(game.simulator.scenario.episode_steps):
         which = everyone if is_lockstep else is_running.nonzero()[:, 0]
-        world, events, decision = _decide(game, seats, world, which, is_running[which], reward_config)
+        world, events, decision = _decide_in(game, seats, world, which, is_running[which], reward_config)
         states.append(_state_row(game, world))
         decisions.append({name: _scatter(field, which, len(tasks)) for name, field in decision.items()})
         ended = map_tensors(lambda field, at=which: _scatter(field, at, len(tasks)), events)
@@ -167,7 +167,7 @@ def _record(
     return {name: value.cpu().numpy() for name, value in rows.items()} | {"driver": driver}
 
 
-def _decide(
+def _decide_in(
     game: Game, seats: Seats, world: World, which: Tensor, is_running: Tensor, reward_config: RewardConfig
 ) -> tuple[World, Events, dict[str, Tensor]]:
     """One decision in the worlds `which` [R]; those that are not running [R] stay unchanged.
