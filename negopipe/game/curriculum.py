@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from negopipe.checks import Foresight, Memory, Observed, Problem, check_horizons
 from negopipe.game.reward import RewardConfig
@@ -91,6 +91,12 @@ class CurriculumConfig:
         """All families of all stages, by key."""
         stages = enumerate(self.stages)
         return {f"curriculum.stages.{i}.families.{name}": f for i, s in stages for name, f in s.families.items()}
+
+    @model_validator(mode="after")
+    def _has_one_example(self) -> "CurriculumConfig":
+        if self.demonstrations is not None and self.teacher is not None:
+            raise ValueError("demonstrations and teacher cannot both be given; one of them must be null")
+        return self
 
     def check(self, dt_s: float, foresight: Foresight) -> Iterator[Problem]:
         """foresight: of the planner."""

@@ -76,11 +76,11 @@ class Learner:
         self._track_returns(returns)
         explained = 1 - (returns - value).var() / returns.var().clamp(min=STD_MIN**2)
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=STD_MIN)
-        if rollout.is_taught:
-            advantage = torch.ones_like(advantage)
-        seen = _learned_from(rollout.observation, rollout.share.own(rollout.is_learning, 1))
+        is_own = rollout.share.own(rollout.is_learning, 1)
+        seen, *advice = (_learned_from(f, is_own) for f in (rollout.observation, rollout.advice) if f is not None)
         share = rollout.share.chosen(rollout.is_learning)
-        decisions = Decisions.of([seen, *(share.own(f) for f in (action, log_prob, advantage, returns))], share)
+        known = (share.own(f) for f in (action, log_prob, advantage, returns))
+        decisions = Decisions.of([seen, *known, *advice], share)
         demonstrated = (
             None if self.demonstrations is None else self.demonstrations.show(self.policy, progress, self.generator)
         )

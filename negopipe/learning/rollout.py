@@ -10,13 +10,13 @@ from typing import Any, Protocol
 import torch
 from torch import Generator, Tensor
 
-from negopipe.learning.teacher import Label
+from negopipe.learning.teacher import Advice
 from negopipe.policy.actor_critic import ActorCritic, log_prob_of, sample_action
 from negopipe.tensors.share import WHOLE, Share
 
 OF_WORLDS = ("episode_return", "episode_steps", "is_success", "is_collision")
 """Fields of a rollout that are numbers of worlds, not of agents."""
-NOT_JOINED = ("observation", "final_info", "is_taught", "share")
+NOT_JOINED = ("observation", "final_info", "advice", "share")
 """Fields of a rollout that are not numbers of agents or worlds."""
 
 
@@ -72,8 +72,8 @@ class Rollout:
 
     observation: [T, A, *obs] in the environment's dtype, s_t
     is_learning: [T, A] bool, a decision of the policy; what is said of others means nothing
-    action: [T, A] int64, a_t; with a teacher the action that it would take
-    log_prob: [T, A] float32, log pi of that action in s_t
+    action: [T, A] int64, a_t
+    log_prob: [T, A] float32, log pi(a_t|s_t)
     reward, value: [T, A] float32, r_t and V(s_t)
     is_terminated, is_truncated: [T, A] bool
     final_value: [T, A] float32, value of the final observation where truncated, else 0
@@ -82,8 +82,8 @@ class Rollout:
     episode_steps: [T, E] int64, its number of decisions; 0 where none ended
     is_success, is_collision: [T, E] bool, its outcome; false where none ended
     final_info: name -> [N], `Transition.final_info` of the N episodes that ended, in the order of `is_over`
-    is_taught: whether a teacher gave the actions
-    share: this rank's among the agents of all ranks, whose numbers these are; the observations are of its own agents
+    advice: [T, A, n_actions] float32, a teacher's probabilities of the actions in s_t; None = there is no teacher
+    share: this rank's among the agents of all ranks, whose numbers these are; observation and advice are of its own
     """
 
     observation: Tensor
@@ -101,7 +101,7 @@ class Rollout:
     is_success: Tensor
     is_collision: Tensor
     final_info: dict[str, Tensor] = field(default_factory=dict)
-    is_taught: bool = False
+    advice: Tensor | None = None
     share: Share = WHOLE
 
     @property
@@ -135,14 +135,14 @@ def collect(
     n_steps: int,
     generator: Generator,
     running: RunningEpisodes,
-    teacher: Label | None = None,
+    teacher: Advice | None = None,
     worlds: Share = WHOLE,
 ) -> tuple[Rollout, RunningEpisodes]:
     """Roll `policy` out for `n_steps` decisions, sampling its actions; collective.
 
     generator: draws the actions; on the environment's device
     running: the unfinished episodes of the worlds, as the previous call returned them
-    teacher: labels the decisions in the environment's present state; the policy's own actions are carried out
+    teacher: asked in every state of the environment; the policy's own actions are carried out
     worlds: this rank's share in the worlds of all ranks
     """
     observation = env.observe()
@@ -150,15 +150,16 @@ def collect(
     observations = observation.new_empty(n_steps, *observation.shape)
     steps: list[dict[str, Tensor]] = []
     infos: list[dict[str, Tensor]] = []
+    advice: list[Tensor] = []
     for t in range(n_steps):
         observations[t], is_learning = observation, env.is_learning()
         logits, value = _run(policy, observation, is_learning)
         action = agents.own(sample_action(agents.spread(logits), generator))
-        labelled = action if teacher is None else teacher()
+        advice += [] if teacher is None else [teacher()]
         transition = env.step(action)
         running, ended = _count(running, transition)
-        decided = {"is_learning": is_learning, "action": labelled, "value": value}
-        decided["log_prob"] = log_prob_of(labelled, logits.log_softmax(-1))
+        decided = {"is_learning": is_learning, "action": action, "value": value}
+        decided["log_prob"] = log_prob_of(action, logits.log_softmax(-1))
         steps.append({**decided, **_outcome(policy, transition, is_learning), **ended})
         infos.append(transition.final_info)
         observation = transition.observation
@@ -169,7 +170,7 @@ def collect(
         **stacked,  # type: ignore[arg-type]  # of fields that are tensors
         last_value=last_value,
         final_info={name: torch.cat([info[name] for info in infos]) for name in infos[0]},
-        is_taught=teacher is not None,
+        advice=torch.stack(advice) if advice else None,
         share=agents,
     )
     return _joined(own, worlds), running

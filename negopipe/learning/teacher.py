@@ -1,9 +1,13 @@
 """Learning from a teacher: the policy drives, and a trained policy says what it would do there (Ross et al. 2011).
 
 For the first share of a training every decision is one to imitate. The policy drives by its own actions, so that it is
-taught in the states that it gets into, but it learns from the teacher's: the advantage of the labelled action is 1, and
-L_pi is the cross-entropy with the teacher. The value learns from the policy's own returns. Then the policy learns from
-its own actions alone, from a value that fits them.
+taught in the states that it gets into, but it learns from the teacher's probabilities q (Rusu et al. 2016, "Policy
+distillation"):
+
+    L_pi = -1/N sum_t sum_a q(a|s_t) log pi(a|s_t)
+
+The value learns from the policy's own returns. Then the policy learns from its own actions alone, from a value that
+fits them.
 """
 
 from collections.abc import Callable
@@ -14,8 +18,8 @@ from torch import Tensor
 
 from negopipe.schema import Fraction, PathText, schema
 
-Label = Callable[[], Tensor]
-"""What the teacher would do now: actions [A] int64; those of agents that another driver drives mean nothing."""
+Advice = Callable[[], Tensor]
+"""What the teacher would do now: probabilities [A, n_actions], without meaning for agents that others drive."""
 
 
 @schema

@@ -2,6 +2,7 @@
 
 policy gradient   L_pi = -1/N sum A_t log pi(a_t|s_t)
 value             L_V  = 1/(2N) sum (R_t - V(s_t))^2 / sigma^2
+imitation         L_pi = -1/N sum_t sum_a q(a|s_t) log pi(a|s_t)        where a teacher q says what to do
 entropy           H    = -1/N sum_t sum_a pi(a|s_t) log pi(a|s_t)
 together          L    = L_pi + c_V L_V - c_H H
 """
@@ -110,6 +111,7 @@ class Decisions:
     log_prob: [N] float32, of the action when it was taken
     advantage: [N] float32, normalised
     returns: [N] float32
+    advice: [N, n_actions] float32, a teacher's probabilities, to imitate instead of the actions; None = no teacher
     share: this rank's, whose N rows these are; `len` counts those of all ranks
     """
 
@@ -118,6 +120,7 @@ class Decisions:
     log_prob: Tensor
     advantage: Tensor
     returns: Tensor
+    advice: Tensor | None = None
     share: Share = WHOLE
 
     def __len__(self) -> int:
@@ -134,13 +137,14 @@ class Decisions:
     @classmethod
     def of(cls, columns: Sequence[Tensor], share: Share) -> "Decisions":
         """Decisions of what `columns` holds."""
-        observation, action, log_prob, advantage, returns = columns
-        return cls(observation, action, log_prob, advantage, returns, share)
+        observation, action, log_prob, advantage, returns, *advice = columns
+        return cls(observation, action, log_prob, advantage, returns, advice[0] if advice else None, share)
 
     @property
-    def columns(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def columns(self) -> tuple[Tensor, ...]:
         """The fields with a row per decision, in their order."""
-        return self.observation, self.action, self.log_prob, self.advantage, self.returns
+        columns = self.observation, self.action, self.log_prob, self.advantage, self.returns
+        return columns if self.advice is None else (*columns, self.advice)
 
     def shared(self, share: Share) -> "Decisions":
         """The rows of a share in decisions that every rank knows."""
@@ -198,6 +202,11 @@ def policy_gradient_loss(outputs: Outputs, batch: Decisions) -> Tensor:
     return -batch.share.mean(batch.advantage * outputs.log_prob(batch.action))
 
 
+def imitation_loss(outputs: Outputs, advice: Tensor, share: Share) -> Tensor:
+    """Cross-entropy with a teacher's probabilities `advice` [N, n_actions]."""
+    return -share.mean((advice * outputs.log_probs).sum(-1))
+
+
 def total_loss(
     policy_loss: Tensor,
     outputs: Outputs,
@@ -229,13 +238,16 @@ def differentiate(
 ) -> tuple[Outputs, dict[str, Tensor]]:
     """Put grad L at the policy's parameters; returns the network's outputs for the minibatch, and the parts of L.
 
+    policy_loss: L_pi of the algorithm, where no teacher says what to do
     Gradient and parts are those of the whole minibatch; collective.
     """
     outputs = forward(policy, batch.observation)
-    loss, parts = total_loss(policy_loss(outputs, batch), outputs, batch, policy, config, progress)
+    advice, share = batch.advice, batch.share
+    l_pi = policy_loss(outputs, batch) if advice is None else imitation_loss(outputs, advice, share)
+    loss, parts = total_loss(l_pi, outputs, batch, policy, config, progress)
     policy.zero_grad(set_to_none=True)
     loss.backward()
-    batch.share.add_up([*(p.grad for p in policy.parameters() if p.grad is not None), *parts.values()])
+    share.add_up([*(p.grad for p in policy.parameters() if p.grad is not None), *parts.values()])
     return outputs, parts
 
 

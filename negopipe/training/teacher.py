@@ -10,7 +10,6 @@ from negopipe.errors import UserError
 from negopipe.game.environment import NegotiationEnv
 from negopipe.game.game import Game
 from negopipe.observation.kinds import build_observation
-from negopipe.policy.actor_critic import greedy_action
 from negopipe.runtime.build import load_described
 from negopipe.tensors.tree import map_tensors
 
@@ -20,6 +19,9 @@ if TYPE_CHECKING:
 
 class Teacher:
     """What the trained policy of `curriculum.teacher` would do in the present state of an environment.
+
+    Called, it returns probabilities [A, n_actions], zeros for agents that another driver drives; see
+    `negopipe.learning.teacher.Advice`.
 
     UserError where it has other horizons than the policy in training, or remembers more than the game shows.
     """
@@ -41,11 +43,10 @@ class Teacher:
         self._see = game.watch(build_observation(observation, game.simulator))
 
     @torch.no_grad()
-    def label(self) -> Tensor:
-        """[A] int64: the most probable actions; 0 for agents that another driver drives."""
+    def __call__(self) -> Tensor:
         world, is_learning = self._env.world, self._env.is_learning()
         agent = is_learning.nonzero()[:, 0]
         vehicle, row = agent // self._env.n_worlds, agent % self._env.n_worlds
         part = map_tensors(lambda field: field.index_select(0, row), world)
-        action = greedy_action(self._logits(self._see(part, vehicle)))
-        return torch.zeros_like(is_learning, dtype=torch.int64).index_copy(0, agent, action)
+        probs = self._logits(self._see(part, vehicle)).softmax(-1)
+        return probs.new_zeros(len(is_learning), probs.shape[1]).index_copy(0, agent, probs)

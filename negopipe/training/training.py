@@ -91,8 +91,8 @@ class Training:
         self.weights_before = _copy(self.policy)
         waited_s = self.ranks.seconds
         stage, progress = self._select_task_distribution(), self.n_done / self.n_total
-        label = self._teacher.label if self._teacher is not None and progress < self._taught_until else None
-        given = (self.n_steps, self.actions, self.running, label, self._worlds)
+        teacher = self._teacher if progress < self._taught_until else None
+        given = (self.n_steps, self.actions, self.running, teacher, self._worlds)
         rollout, self.running = collect(self.env, self.policy, *given)
         metrics = self.learner.update(rollout, progress)  # advantages, then the algorithm's updates
         is_success = rollout.is_success[rollout.is_over]

@@ -12,8 +12,8 @@ AGENTS = 8
 
 
 def down() -> Tensor:
-    """In every cell of the corridor the action that leads to the bad end, which nobody would find out by himself."""
-    return torch.zeros(AGENTS, dtype=torch.int64)
+    """In every cell of the corridor mostly the action to the bad end, which nobody would find out by himself."""
+    return torch.tensor([[0.9, 0.1]]).expand(AGENTS, 2)
 
 
 def up(algorithm: str, is_taught: bool) -> Tensor:
@@ -40,10 +40,14 @@ def test_the_policy_drives_and_the_teacher_labels() -> None:
         running = RunningEpisodes.start(AGENTS, CPU)
         rollouts.append(collect(Corridor(AGENTS), policy, 20, Generator().manual_seed(0), running, teacher)[0])
     own, taught = rollouts
-    assert (own.is_taught, taught.is_taught) == (False, True)
-    for name in ("observation", "reward", "value", "is_success"):
+    for name in ("observation", "action", "log_prob", "reward", "value", "is_success"):
         assert torch.equal(getattr(own, name), getattr(taught, name)), name
-    assert own.action.any()
-    assert not taught.action.any()
-    logits = policy(taught.observation.flatten(0, 1))[0]
-    assert torch.equal(taught.log_prob.flatten(), logits.log_softmax(-1)[:, 0])
+    assert own.advice is None
+    assert torch.equal(taught.advice, down().expand(20, AGENTS, 2))
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_student_comes_to_the_probabilities_of_the_teacher(algorithm: str) -> None:
+    """Where it agrees with the teacher, the loss has no gradient but the entropy's, whatever was done there."""
+    taught, free = up(algorithm, is_taught=True), up(algorithm, is_taught=False)
+    assert ((taught - 0.1).abs() < (free - 0.1).abs()).all()

@@ -1,4 +1,4 @@
-"""Teacher and student: labels are the teacher's, who sees what it was trained to see; training resumes exactly."""
+"""Teacher and student: the teacher sees what it was trained to see; the training resumes exactly."""
 
 from pathlib import Path
 
@@ -9,7 +9,6 @@ from torch import Tensor
 
 from negopipe.config.root import RunConfig
 from negopipe.errors import UserError
-from negopipe.policy.actor_critic import greedy_action
 from negopipe.runtime.build import build, load_policy, save_policy
 from negopipe.runtime.identity import stage_key
 from negopipe.tracking.snapshots import Snapshots
@@ -32,18 +31,18 @@ def student(teacher: Path, *overrides: str) -> RunConfig:
     return compose_config([*SMALL, "observation.n_frames=5", "population/driver=[planner,self]", wanted, *overrides])
 
 
-def test_labels_are_what_the_teacher_would_do(teacher: Path) -> None:
+def test_the_advice_is_what_the_teacher_would_do(teacher: Path) -> None:
     training = Training(student(teacher))
     assert training._teacher is not None
     env, config = training.env, compose_config([*OF_TEACHER, "population/driver=[planner,self]"])
     training.iterate()
-    label = training._teacher.label()
+    advice = training._teacher()
     game, policy = build(config)[0], load_policy(teacher)
     seen = game.see_as(env.world, torch.zeros(env.n_worlds, dtype=torch.int64))
-    assert torch.equal(label[: env.n_worlds], greedy_action(policy(seen)[0]))
+    assert torch.allclose(advice[: env.n_worlds], policy(seen)[0].softmax(-1))
     its = env.is_learning()[env.n_worlds :]
     seen = game.see_as(env.world, torch.ones(env.n_worlds, dtype=torch.int64))
-    assert torch.equal(label[env.n_worlds :], torch.where(its, greedy_action(policy(seen)[0]), 0))
+    assert torch.allclose(advice[env.n_worlds :], policy(seen)[0].softmax(-1) * its[:, None])
     assert its.any()
 
 
@@ -51,13 +50,13 @@ def test_the_teacher_is_asked_in_the_first_share_of_the_training(teacher: Path) 
     training = Training(student(teacher))
     asked: list[float] = []
     assert training._teacher is not None
-    label = training._teacher.label
+    teacher = training._teacher
 
     def counted() -> Tensor:
         asked.append(training.n_done / training.n_total)
-        return label()
+        return teacher()
 
-    training._teacher.label = counted  # type: ignore[method-assign]
+    training._teacher = counted  # type: ignore[assignment]
     while training.n_done < training.n_total:
         training.iterate()
     iterations = [n / training.n_total for n in range(training.n_total) if n / training.n_total < 0.5]
