@@ -95,7 +95,7 @@ class CurriculumConfig:
     @model_validator(mode="after")
     def _has_one_example(self) -> "CurriculumConfig":
         if self.demonstrations is not None and self.teacher is not None:
-            raise ValueError("demonstrations and teacher cannot both be given; one of them must be null")
+            raise ValueError("must have demonstrations or a teacher, not both: one of the two must be null")
         return self
 
     def check(self, dt_s: float, foresight: Foresight) -> Iterator[Problem]:

@@ -114,6 +114,10 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         ),
         (["objective=[1e3]"], "objective.0 must be a valid string, got 1000.0, which is a text in double quotes"),
         (["+scenario.families={a b: null}"], "scenario.families.a b must match pattern"),
+        (
+            ["+experiment=demonstrations", "curriculum.teacher={checkpoint: pretrained, until: 0.5}"],
+            "curriculum must have demonstrations or a teacher, not both",
+        ),
         (["algorithm.n_worlds=1", "algorithm.n_steps=1"], "algorithm n_worlds 1 times n_steps 1 must be at least 2"),
         (
             ["algorithm.n_worlds=100000"],

@@ -48,6 +48,5 @@ def test_the_policy_drives_and_the_teacher_labels() -> None:
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_student_comes_to_the_probabilities_of_the_teacher(algorithm: str) -> None:
-    """Where it agrees with the teacher, the loss has no gradient but the entropy's, whatever was done there."""
     taught, free = up(algorithm, is_taught=True), up(algorithm, is_taught=False)
     assert ((taught - 0.1).abs() < (free - 0.1).abs()).all()

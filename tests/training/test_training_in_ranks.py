@@ -10,7 +10,7 @@ from rank_threads import in_ranks
 from torch import Generator, Tensor
 
 from negopipe.config.root import RunConfig
-from negopipe.runtime.build import build
+from negopipe.runtime.build import build, save_policy
 from negopipe.tensors.ranks import Ranks
 from negopipe.tracking.snapshots import Snapshots
 from negopipe.training.training import Training
@@ -128,6 +128,15 @@ def test_ranks_learn_from_the_demonstrations_that_one_process_finds() -> None:
     few = [f"curriculum.demonstrations.{name}={n}" for name, n in sizes.items()]
     config = compose_config([*SMALL, *OBJECTS, "curriculum=demonstrations", *few])
     assert_alike(trained(config, 2, 1), trained(config, 1, 1))
+
+
+@pytest.mark.slow
+def test_ranks_learn_from_a_teacher_as_one_process_does(tmp_path: Path) -> None:
+    config = compose_config([*SMALL, *OBJECTS, *LEAGUE])
+    save_policy(tmp_path / "teacher.safetensors", build(config)[1], config, 0)
+    wanted = f"curriculum.teacher={{checkpoint: {tmp_path / 'teacher.safetensors'}, until: 0.5}}"
+    config = compose_config([*SMALL, *OBJECTS, *LEAGUE, "seed=2", wanted])
+    assert_alike(trained(config, 2, 2), trained(config, 1, 2))
 
 
 @pytest.mark.slow
