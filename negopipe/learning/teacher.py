@@ -4,7 +4,7 @@ For the first share of a training every decision is one to imitate. The policy d
 taught in the states that it gets into, but it learns from the teacher's probabilities q (Rusu et al. 2016, "Policy
 distillation"):
 
-    L_pi = -1/N sum_t sum_a q(a|s_t) log pi(a|s_t)
+    L_pi = 1/N sum_t sum_a q(a|s_t) log[q(a|s_t) / pi(a|s_t)]
 
 The value learns from the policy's own returns. Then the policy learns from its own actions alone, from a value that
 fits them.

@@ -1,8 +1,8 @@
 """The parts of an update that all algorithms share: a minibatch, its losses, and the measured KL of a step.
 
 policy gradient   L_pi = -1/N sum A_t log pi(a_t|s_t)
+imitation         L_pi = 1/N sum_t sum_a q(a|s_t) log[q(a|s_t) / pi(a|s_t)]     in its place, with a teacher q
 value             L_V  = 1/(2N) sum (R_t - V(s_t))^2 / sigma^2
-imitation         L_pi = -1/N sum_t sum_a q(a|s_t) log pi(a|s_t)        where a teacher q says what to do
 entropy           H    = -1/N sum_t sum_a pi(a|s_t) log pi(a|s_t)
 together          L    = L_pi + c_V L_V - c_H H
 """
@@ -203,8 +203,8 @@ def policy_gradient_loss(outputs: Outputs, batch: Decisions) -> Tensor:
 
 
 def imitation_loss(outputs: Outputs, advice: Tensor, share: Share) -> Tensor:
-    """Cross-entropy with a teacher's probabilities `advice` [N, n_actions]."""
-    return -share.mean((advice * outputs.log_probs).sum(-1))
+    """KL divergence from a teacher's probabilities `advice` [N, n_actions]."""
+    return share.mean((advice.xlogy(advice) - advice * outputs.log_probs).sum(-1))
 
 
 def total_loss(
