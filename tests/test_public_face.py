@@ -164,7 +164,7 @@ def test_load_policy_says_in_one_line_what_is_wrong(tmp_path: Path) -> None:
         (
             "pretrained/nix",
             None,
-            "checkpoint must be among pretrained/generalist, pretrained/mixture, pretrained/yield",
+            "checkpoint must be among pretrained/generalist, pretrained/generalist_grids, pretrained/mixture",
         ),
         ("nix", None, "checkpoint must be an existing file, pretrained, or the id of an MLflow run"),
         (tmp_path / "text", None, "checkpoint must be a whole safetensors file"),

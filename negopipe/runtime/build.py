@@ -103,8 +103,8 @@ def load_policy(source: str | Path = "pretrained/mixture", config: "RunConfig | 
         policy = negopipe.load_policy("pretrained/yield")
         action = policy.act(observation)
 
-    source: a file; `pretrained/<name>`, with the names yield, mixture and generalist, which come with negopipe;
-        `pretrained`, the one of `config.name`; or the id of an MLflow run in the store of `config`
+    source: a file; `pretrained/<name>`, with the names yield, mixture, generalist and generalist_grids, which come with
+        negopipe; `pretrained`, the one of `config.name`; or the id of an MLflow run in the store of `config`
     config: the network and the observation must be those of this config, whose precision and memory format are used;
         None = any network, in float32
     UserError where there is no such checkpoint, or where it does not fit.
