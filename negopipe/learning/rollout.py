@@ -155,7 +155,8 @@ def collect(
         observations[t], is_learning = observation, env.is_learning()
         logits, value = _run(policy, observation, is_learning)
         action = agents.own(sample_action(agents.spread(logits), generator))
-        advice += [] if teacher is None else [teacher()]
+        if teacher is not None:
+            advice.append(teacher())
         transition = env.step(action)
         running, ended = _count(running, transition)
         decided = {"is_learning": is_learning, "action": action, "value": value}
