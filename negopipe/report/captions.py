@@ -113,7 +113,7 @@ WATCH = (
 )
 FAILED = (
     "Of every case with a failure: a task that the policy failed by the most frequent cause of the case, beside the "
-    "same task under the rule-based planner. unseen_failures.csv counts the causes of every planner."
+    "same task under the rule-based planner, if it was driven. unseen_failures.csv counts the causes of every planner."
 )
 NOT_TRAINED = "The policy was not trained in this run, so there is no history.csv. The config names its checkpoint."
 
