@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from composed import FEW_STREETS, compose_config
 from documented import (
@@ -105,6 +106,17 @@ def test_a_documented_command_is_one_that_there_is(command: str) -> None:
 @pytest.mark.parametrize(("page", "table"), TABLES, ids=[named(page) for page, _ in TABLES])
 def test_figures_are_those_of_the_raw_tables(page: Path, table: Results) -> None:
     assert unsupported(table) == []
+
+
+def test_what_is_said_of_five_seeds_is_of_their_means() -> None:
+    folder = ROOT / "jobs" / "results"
+    means = pd.read_csv(folder / "unseen_means.csv").set_index("planner").drop(columns="n_cases")
+    (across,) = pd.read_csv(folder / "unseen_across.csv").to_dict("records")
+    seeds = means[means.index.str.fullmatch(r"generalist(_seed_\d)?")]
+    assert across["n_seeds"] == len(seeds) == 5
+    for statistic, told in {"mean": "", "std": "_std", "min": "_low", "max": "_high"}.items():
+        expected = seeds.agg(statistic).to_dict()
+        assert {name: across[name + told] for name in means} == pytest.approx(expected, rel=2e-3)
 
 
 def test_the_readme_leads_with_what_was_never_met() -> None:

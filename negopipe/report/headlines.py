@@ -95,10 +95,10 @@ def _overall(
         f"{each[ADAPTIVE]['reward']:.2f} against {each[best]['reward']:.2f} ({setting_label(setting).lower()})"
         for setting, each in evaluation.items()
     )
-    verdict = (
-        f"Over all settings the adaptive planner succeeds {RELIABILITY[standing(evaluation, versus)]} "
-        f"{planner_label(best, fixed_s)}, the best baseline."
-    )
+    baseline = f"{planner_label(best, fixed_s)}, the best baseline"
+    verdict = f"Over all settings the adaptive planner succeeds {RELIABILITY[standing(evaluation, versus)]} {baseline}."
+    if not any(measures["success_rate"] for _, measures in weakest.values()):
+        verdict = f"In their weakest settings neither the adaptive planner nor {baseline}, ever succeeds."
     return verdict, f"In their weakest settings, {'; '.join(figures)}. Reward: {rewards}."
 
 
@@ -112,7 +112,9 @@ def headline(
     best = max(baselines, key=lambda planner: (measures[planner]["success_rate"], measures[planner]["reward"]))
     ours, theirs = measures[ADAPTIVE], measures[best]
     baseline = planner_label(best, fixed_s)
-    verdict = f"{setting_label(setting)}: {_verdict(versus[best], baseline)}."
+    never = f"neither the adaptive planner nor {baseline} ever succeeds"
+    succeeded = ours["success_rate"] or theirs["success_rate"]
+    verdict = f"{setting_label(setting)}: {_verdict(versus[best], baseline) if succeeded else never}."
     parts = (_achievement(ADAPTIVE, ours), f"{_achievement(baseline, theirs)} (the best baseline)")
     n_tasks = versus[best]["success"]["n_tasks"]
     told = [*parts, *_rewarded(versus[best]["reward"])]

@@ -28,6 +28,16 @@ def test_headline_says_who_wins(theirs: dict[str, Any], verdict: str) -> None:
     assert "on the same 100 tasks" in detail
 
 
+def test_two_that_never_succeed_are_not_called_reliable() -> None:
+    planners = {"adaptive": measures(0.0, 0.0, None), "fixed_2": measures(0.0, 0.0, None)}
+    evaluation, differences = {"yield": planners, "push": planners}, {"fixed_2": versus(0.0)}
+    overall, *settings = headlines(evaluation, dict.fromkeys(evaluation, differences), FIXED_S)
+    assert "neither the adaptive planner nor fixed 2" in overall[0]
+    assert len(settings) == 2
+    for verdict, _ in settings:
+        assert verdict.endswith("neither the adaptive planner nor fixed 2\N{NO-BREAK SPACE}s ever succeeds.")
+
+
 def test_one_task_says_nothing() -> None:
     unknown = versus(-1.0)
     for difference in unknown.values():
