@@ -94,7 +94,7 @@ def _run_command() -> int:
             if IS_FIRST:
                 print("interrupted", file=sys.stderr)
             return 130
-        lines = lines if IS_FIRST else [SAID for _ in lines]
+        lines = [_said_once(line) for line in lines]
         lines = [json.loads(line) for line in failures] + lines  # those of a sweep's jobs first
     for line in dict.fromkeys(lines):
         print(line, end="\n" if line else "", file=sys.stderr)
@@ -224,7 +224,7 @@ def _note_failure(error: Exception) -> None:
     elif not isinstance(error, UserError):
         traceback.print_exception(error)
         line = f"failed with {type(error).__name__}: {' '.join(HydraConfig.get().overrides.task)}"
-    line = _said_once(line, error)
+    line = SAID if _is_loss(error) else _said_once(line)
     path = Path(os.environ.get(FAILURES, ""))
     if not path.is_file():  # in a worker on another machine: the launcher carries the error
         raise UserError(line) from error
@@ -232,12 +232,20 @@ def _note_failure(error: Exception) -> None:
         file.write(json.dumps(line) + "\n")
 
 
-def _said_once(line: str, error: Exception) -> str:
-    """The line, or `SAID` where another process of `torchrun` tells it."""
-    from negopipe.runtime.ranks import says
+def _is_loss(error: Exception) -> bool:
+    """Whether another process of `torchrun` was lost, which has been said."""
     from negopipe.tensors.ranks import LostRankError
 
-    return SAID if isinstance(error, LostRankError) or not says(line) else line
+    return isinstance(error, LostRankError)
+
+
+def _said_once(line: str) -> str:
+    """The line, or `SAID` where another process of `torchrun` tells it."""
+    if "WORLD_SIZE" not in os.environ:  # then without torch, which takes a second to import
+        return line
+    from negopipe.runtime.ranks import says
+
+    return line if says(line) else SAID
 
 
 @contextmanager

@@ -58,6 +58,10 @@ def check_policy(
     if isinstance(config, GridPolicyConfig) and not isinstance(layout, RowBlocks):
         n_cells = layout[1]
         for index, (side, conv) in enumerate(zip(map_sides(config.conv, n_cells), config.conv, strict=False)):
+            # besides, oneDNN corrupts memory with AVX2, kernel 1, a longer stride and few channels (torch 2.13)
+            if conv.kernel < conv.stride:
+                rule = f"be at least its stride, {conv.stride}, or cells are skipped"
+                yield Problem(f"policy.conv.{index}.kernel", rule, conv.kernel)
             if conv.kernel > side:
                 rule = f"be at most {side}, the side of its input with observation.n_cells = {n_cells}"
                 yield Problem(f"policy.conv.{index}.kernel", rule, conv.kernel)

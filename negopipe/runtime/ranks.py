@@ -36,7 +36,7 @@ PATIENCE = timedelta(minutes=30)
 CONNECT = timedelta(seconds=60)
 """Longest wait for the store through which the processes find each other."""
 EXPLAIN_S = 1.0
-"""Time in which a rank that has failed says why, before another tells that it has lost it, s."""
+"""Time in which a rank that has failed says why, before another ends or tells that it has lost it, s."""
 
 
 def n_started() -> int:
@@ -116,13 +116,19 @@ def connected(config: "RunConfig") -> Iterator[Ranks]:
 
 
 def says(line: str) -> bool:
-    """Whether this rank is the one that says a line which all may have to say."""
+    """Whether this rank is the one that says a line which all may have to say: the first that asks.
+
+    The others wait until it has had the time: with the first process that ends, `torchrun` ends them all.
+    """
     if n_started() == 1:
         return True
     try:
-        return _store().add(hashlib.sha256(line.encode()).hexdigest(), 1) == 1
-    except RuntimeError:  # the store is gone with the first rank
+        is_speaker = _store().add(hashlib.sha256(line.encode()).hexdigest(), 1) == 1
+    except (RuntimeError, UserError):  # the store is gone with the first rank, or there is no torchrun
         return True
+    if not is_speaker:
+        time.sleep(EXPLAIN_S)
+    return is_speaker
 
 
 def says_loss() -> bool:

@@ -219,6 +219,10 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             "policy.conv.2.kernel must be at most 1, the side of its input with observation.n_cells = 20, got 3",
         ),
         (
+            ["policy.conv.0.kernel=1"],
+            "policy.conv.0.kernel must be at least its stride, 4, or cells are skipped, got 1",
+        ),
+        (
             ["evaluation.settings=[rest]"],
             "evaluation.settings must be among push, yield, mixture, mixture_switching of scenario.families, got rest",
         ),
