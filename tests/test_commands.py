@@ -15,10 +15,11 @@ from mlflow_server import free_port, server
 
 ROOT = Path(__file__).parent.parent
 SMALL = (
-    "compile=off n_threads=1 scenario.episode_steps=48 "
+    "compile=off n_threads=1 scenario.episode_steps=24 "
     "'curriculum.stages=[{name:few,n_iterations:2,families:{yield:${scenario.families.yield}}}]' "
     "curriculum.demonstrations=null algorithm.n_worlds=4 algorithm.n_steps=8 algorithm.minibatch_size=16 "
-    "evaluation.n_episodes=4 report.n_animations=1 behaviour_map.n_episodes=2 cross_play.n_episodes=2 "
+    "evaluation.n_episodes=4 report.n_animations=1 behaviour_map.n_episodes=2 "
+    "behaviour_map.horizons_s=[0.0,2.0] behaviour_map.styles_s=[2.0] cross_play.n_episodes=2 "
     "oracle.n_episodes=2 oracle.population=2 oracle.rounds=1 benchmark.n_worlds=[1,2] benchmark.base_n_worlds=1 "
     "benchmark.backends=[eager] benchmark.min_time_s=0.01 benchmark.n_latencies=5 benchmark.n_iterations=2"
 )
@@ -26,16 +27,19 @@ OF_GRIDS = "policy.precision=float32 policy.memory_format=channels_last"
 """Keys that a network of objects does not have."""
 FEW = "--overrides compile=off n_threads=1 algorithm.n_worlds=4 algorithm.n_steps=8"
 SMALL_JOBS = {
-    "jobs/safety.py": f"--tasks 4 --cases yield/yield --layers rss {FEW} scenario.episode_steps=48",
+    "jobs/safety.py": f"--tasks 4 --cases yield/yield --layers rss {FEW} scenario.episode_steps=24",
     "jobs/ablation_generalist.py": f"--variants one_street --seeds 1 --iterations 1 --tasks 2 --cases driver_idm {FEW}",
 }
 CASES = "\n".join(f'  {job}) set -- "$@" {small} ;;' for job, small in SMALL_JOBS.items())
+WITH_ALL = "demonstrations|generalist|generalist_grids|mixture|push|yield"
+"""Experiments whose baselines are `all`. Their level_k takes a hundred times as long as another one."""
 SMALL_PYTHON = f"""#!/usr/bin/env bash
 case "$1" in
 {CASES}
 esac
 if [ "$1 $2" = "-m negopipe" ] && [[ " $* " != *" --help "* && " $* " != *" --cfg "* ]]; then
   [[ " $* " == *experiment=unseen* && " $* " != *" +unseen="* ]] && set -- "$@" +unseen=driver_idm,street_tight
+  [[ " $* " =~ experiment=({WITH_ALL})" " && " $* " != *baseline=* ]] && set -- "$@" "~evaluation.baselines.level_k"
   [[ " $* " == *hydra/sweeper=optuna* ]] && set -- "$@" hydra.sweeper.n_trials=2
   [[ " $* " =~ (experiment=(generalist|generalist_gpu|unseen|cross_play)|policy=objects)" " ]] || set -- "$@" {OF_GRIDS}
   exec {sys.executable} "$@" {SMALL}
