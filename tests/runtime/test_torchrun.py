@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+import torch.distributed as dist
 from safetensors.torch import load_file
 
 from negopipe.runtime import ranks
@@ -131,3 +132,15 @@ def test_without_torchrun_there_is_one_rank_that_says_everything(monkeypatch: py
     assert ranks.n_started() == ranks.n_local() == 1
     assert ranks.is_first()
     assert ranks.says("a line")
+
+
+def test_who_leaves_a_line_to_another_gives_it_the_time_to_say_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    store, waits = dist.HashStore(), list[float]()
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setattr(ranks, "_store", lambda: store)
+    monkeypatch.setattr(time, "sleep", waits.append)
+    assert ranks.says("a line")
+    assert waits == []
+    assert not ranks.says("a line")
+    assert waits == [ranks.EXPLAIN_S]
+    assert ranks.says("another line")
