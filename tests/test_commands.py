@@ -79,7 +79,10 @@ EXAMPLES = {
     "checkpoint=<file>": "checkpoint=pretrained/generalist",
 }
 """Files that a command takes for example -> what it takes here."""
+OF_MAKE = ("ARGS", "MAKEFLAGS", "MAKELEVEL", "MFLAGS")
+"""Variables by which `make test-slow ARGS=...` would tell a `make` of the tests its own arguments."""
 SILENT = "bash jobs/watch_memory.sh"
+"""Writes a table and says nothing."""
 NAMING = ("Makefile", "conf/config.yaml", "jobs/README.md", "outputs/README.md")
 """Files that name commands, beside the scripts of jobs/."""
 NEEDS = {"joblib": "hydra_plugins.hydra_joblib_launcher", "submitit": "submitit", "ray": "ray", "optuna": "optuna"}
@@ -122,10 +125,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with server(tmp_path_factory.mktemp("server"), free_port()) as uri:
         yield uri
-
-
-OF_MAKE = ("ARGS", "MAKEFLAGS", "MAKELEVEL", "MFLAGS")
-"""Variables by which `make test-slow ARGS=...` would tell a `make` of the tests its own arguments."""
 
 
 def run(command: str, place: Path, **more: str) -> str:
