@@ -1,4 +1,7 @@
-"""Every command of README.md, CONTRIBUTING.md and docs/ and every script of jobs/ runs, at small size."""
+"""Every command of README.md, CONTRIBUTING.md and docs/ and every script of jobs/ runs, at small size.
+
+The commands of a page run in their order in a folder of their own, as a reader would run them.
+"""
 
 import importlib.util
 import os
@@ -6,11 +9,12 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
-from documented import all_commands
+from documented import PAGES, commands
 from mlflow_server import free_port, server
 
 ROOT = Path(__file__).parent.parent
@@ -18,7 +22,8 @@ SMALL = (
     "compile=off n_threads=1 scenario.episode_steps=24 "
     "'curriculum.stages=[{name:few,n_iterations:2,families:{yield:${scenario.families.yield}}}]' "
     "curriculum.demonstrations=null algorithm.n_worlds=4 algorithm.n_steps=8 algorithm.minibatch_size=16 "
-    "evaluation.n_episodes=4 report.n_animations=1 behaviour_map.n_episodes=2 "
+    "evaluation.n_episodes=4 report.n_animations=0 report.side_by_side=[] report.figure_formats=[png] "
+    "behaviour_map.n_episodes=2 "
     "behaviour_map.horizons_s=[0.0,2.0] behaviour_map.styles_s=[2.0] cross_play.n_episodes=2 "
     "oracle.n_episodes=2 oracle.population=2 oracle.rounds=1 benchmark.n_worlds=[1,2] benchmark.base_n_worlds=1 "
     "benchmark.backends=[eager] benchmark.min_time_s=0.01 benchmark.n_latencies=5 benchmark.n_iterations=2"
@@ -101,10 +106,8 @@ def missing_engine(command: str) -> str | None:
     return next((name for name in engines if importlib.util.find_spec(NEEDS[name]) is None), None)
 
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def checkout(folder: Path) -> Path:
     """A folder that looks like a checkout, in which `python` and the Makefile's python are small."""
-    folder = tmp_path_factory.mktemp("checkout")
     for name in ("jobs", "conf", "negopipe"):
         (folder / name).symlink_to(ROOT / name)
     for name in ("Makefile", "pyproject.toml"):
@@ -119,6 +122,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torchrun.chmod(0o755)
     (folder / ".venv" / ".ready").touch()
     return folder
+
+
+@pytest.fixture(scope="module")
+def place_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Name of a page or script -> its checkout."""
+    return cache(lambda name: checkout(tmp_path_factory.mktemp(name)))
 
 
 @pytest.fixture(scope="module")
@@ -145,9 +154,23 @@ def test_the_modules_that_commands_name_can_be_run(path: Path) -> None:
         assert found.submodule_search_locations or "__main__" in Path(str(found.origin)).read_text(encoding="utf-8")
 
 
+def together(name: str, *values: str) -> pytest.ParameterSet:
+    """Values of a test that runs in one process with all others of this name."""
+    return pytest.param(*values, marks=pytest.mark.xdist_group(name), id=": ".join(values))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("command", [command for command in all_commands() if command not in NOT_RUN])
-def test_a_documented_command_runs(command: str, place: Path, address: str) -> None:
+@pytest.mark.parametrize(
+    ("page", "command"),
+    [
+        together(page.stem, page.stem, command)
+        for page in PAGES
+        for command in dict.fromkeys(commands(page))
+        if command not in NOT_RUN
+    ],
+)
+def test_a_documented_command_runs(page: str, command: str, place_of: Callable[[str], Path], address: str) -> None:
+    place = place_of(page)
     if engine := missing_engine(command):
         pytest.skip(f"{engine} is not installed")
     checkpoints = sorted(place.glob("outputs/yield/*/checkpoint.safetensors"))
@@ -159,8 +182,8 @@ def test_a_documented_command_runs(command: str, place: Path, address: str) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script", sorted(path.name for path in (ROOT / "jobs").glob("*.sh")))
-def test_a_script_of_jobs_runs(script: str, place: Path, address: str) -> None:
+@pytest.mark.parametrize("script", [together(path.stem, path.name) for path in sorted((ROOT / "jobs").glob("*.sh"))])
+def test_a_script_of_jobs_runs(script: str, place_of: Callable[[str], Path], address: str) -> None:
     if script == "tracking_server.sh":
         pytest.skip("is what the address is of")
     if script == "watch_memory.sh":
@@ -172,15 +195,15 @@ def test_a_script_of_jobs_runs(script: str, place: Path, address: str) -> None:
     if engine := missing_engine((ROOT / "jobs" / script).read_text(encoding="utf-8")):
         pytest.skip(f"{engine} is not installed")
     where = {"ADDRESS": "local"} if script == "ray_sweep.sh" else {}
-    run(f"bash jobs/{script}", place, MLFLOW_TRACKING_URI=address, **where)
+    run(f"bash jobs/{script}", place_of(script), MLFLOW_TRACKING_URI=address, **where)
 
 
 @pytest.mark.slow
-def test_chaos_leaves_every_job_finished_once(place: Path) -> None:
-    said = run("python jobs/chaos.py --jobs 5 --killed 0.4", place)
+def test_chaos_leaves_every_job_finished_once(tmp_path: Path) -> None:
+    said = run("python jobs/chaos.py --jobs 5 --killed 0.4", checkout(tmp_path))
     assert "equal results 5 of 5" in said
 
 
 @pytest.mark.slow
-def test_cartpole_is_solved(place: Path) -> None:
-    assert "acktr: 1 of 1 seeds reach 450" in run("python jobs/cartpole.py --seeds 1", place)
+def test_cartpole_is_solved(tmp_path: Path) -> None:
+    assert "acktr: 1 of 1 seeds reach 450" in run("python jobs/cartpole.py --seeds 1", checkout(tmp_path))
