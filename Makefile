@@ -56,7 +56,7 @@ test: $(READY)  ## the fast tests
 	$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 test-slow: $(READY)  ## the tests that take longer
-	$(BIN)/python -m pytest -m slow --numprocesses auto --maxprocesses 4 --dist loadgroup $(ARGS)
+	$(BIN)/python -m pytest -m slow --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 test-sweeps: $(READY)  ## launchers and searches, really run; installs Ray (240 MB) beside the others
 	$(INSTALL) --editable '.[dev,joblib,submitit,ray,optuna]'

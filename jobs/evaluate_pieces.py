@@ -150,6 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         table = merge(given.folder)
         write_csv(given.folder / EPISODES_NAME, table, EPISODES)
         merge_into(given.folder / METRICS_NAME, results_of(table))
+        print(f"{given.folder / EPISODES_NAME}: {len(table)} episodes; their rates: {given.folder / METRICS_NAME}")
     except UserError as error:
         print(error, file=sys.stderr)
         return 1

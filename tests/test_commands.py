@@ -1,6 +1,6 @@
 """Every command of README.md, CONTRIBUTING.md and docs/ and every script of jobs/ runs, at small size.
 
-The commands of a page run in their order in a folder of their own, as a reader would run them.
+Those of a page run in their order in a folder of their own, as a reader would run them.
 """
 
 import importlib.util
@@ -9,11 +9,11 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import torch
 from documented import PAGES, commands
 from mlflow_server import free_port, server
 
@@ -91,13 +91,18 @@ SILENT = "bash jobs/watch_memory.sh"
 NAMING = ("Makefile", "conf/config.yaml", "jobs/README.md", "outputs/README.md")
 """Files that name commands, beside the scripts of jobs/."""
 NEEDS = {"joblib": "hydra_plugins.hydra_joblib_launcher", "submitit": "submitit", "ray": "ray", "optuna": "optuna"}
+ON_GPU = "experiment=generalist_gpu"
+"""Part of the command that needs a GPU."""
 EXPORTS = "negopipe.deployment"
 """Part of the commands that need the packages of the extra `export`."""
 CARS = "negopipe.deployment.vehicle "
 """Part of the commands that need the packages of the extra `vehicle`."""
 
 
-def missing_engine(command: str) -> str | None:
+def missing_for(command: str) -> str | None:
+    """What this machine lacks for a command; None = nothing."""
+    if ON_GPU in command and not torch.cuda.is_available():
+        return "GPU"
     if EXPORTS in command and importlib.util.find_spec("onnxruntime") is None:
         return "onnxruntime"
     if CARS in command and importlib.util.find_spec("vehiclemodels") is None:
@@ -125,12 +130,6 @@ def checkout(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def place_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Name of a page or script -> its checkout."""
-    return cache(lambda name: checkout(tmp_path_factory.mktemp(name)))
-
-
-@pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with server(tmp_path_factory.mktemp("server"), free_port()) as uri:
         yield uri
@@ -154,36 +153,25 @@ def test_the_modules_that_commands_name_can_be_run(path: Path) -> None:
         assert found.submodule_search_locations or "__main__" in Path(str(found.origin)).read_text(encoding="utf-8")
 
 
-def together(name: str, *values: str) -> pytest.ParameterSet:
-    """Values of a test that runs in one process with all others of this name."""
-    return pytest.param(*values, marks=pytest.mark.xdist_group(name), id=": ".join(values))
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)], ids=lambda page: page.stem)
+def test_the_commands_of_a_page_run(page: Path, tmp_path: Path, address: str, subtests: pytest.Subtests) -> None:
+    place = checkout(tmp_path)
+    for command in dict.fromkeys(commands(page)):
+        if command in NOT_RUN:
+            continue
+        with subtests.test(command):
+            if missing := missing_for(command):
+                pytest.skip(f"there is no {missing}")
+            here = command.replace("http://127.0.0.1:5000", address)
+            for example, known in EXAMPLES.items():
+                here = here.replace(example, known)
+            assert run(here, place) or command.startswith(SILENT)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("page", "command"),
-    [
-        together(page.stem, page.stem, command)
-        for page in PAGES
-        for command in dict.fromkeys(commands(page))
-        if command not in NOT_RUN
-    ],
-)
-def test_a_documented_command_runs(page: str, command: str, place_of: Callable[[str], Path], address: str) -> None:
-    place = place_of(page)
-    if engine := missing_engine(command):
-        pytest.skip(f"{engine} is not installed")
-    checkpoints = sorted(place.glob("outputs/yield/*/checkpoint.safetensors"))
-    if checkpoints:
-        command = command.replace("<file or MLflow run id>", str(checkpoints[0]))
-    for example, here in EXAMPLES.items():
-        command = command.replace(example, here)
-    assert run(command.replace("http://127.0.0.1:5000", address), place) or command.startswith(SILENT)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("script", [together(path.stem, path.name) for path in sorted((ROOT / "jobs").glob("*.sh"))])
-def test_a_script_of_jobs_runs(script: str, place_of: Callable[[str], Path], address: str) -> None:
+@pytest.mark.parametrize("script", sorted(path.name for path in (ROOT / "jobs").glob("*.sh")))
+def test_a_script_of_jobs_runs(script: str, tmp_path: Path, address: str) -> None:
     if script == "tracking_server.sh":
         pytest.skip("is what the address is of")
     if script == "watch_memory.sh":
@@ -192,10 +180,10 @@ def test_a_script_of_jobs_runs(script: str, place_of: Callable[[str], Path], add
         pytest.skip(NOT_RUN[f"bash jobs/{script}"])
     if script.startswith("slurm_") and shutil.which("sbatch") is None:
         pytest.skip("there is no SLURM")
-    if engine := missing_engine((ROOT / "jobs" / script).read_text(encoding="utf-8")):
-        pytest.skip(f"{engine} is not installed")
+    if missing := missing_for((ROOT / "jobs" / script).read_text(encoding="utf-8")):
+        pytest.skip(f"there is no {missing}")
     where = {"ADDRESS": "local"} if script == "ray_sweep.sh" else {}
-    run(f"bash jobs/{script}", place_of(script), MLFLOW_TRACKING_URI=address, **where)
+    run(f"bash jobs/{script}", checkout(tmp_path), MLFLOW_TRACKING_URI=address, **where)
 
 
 @pytest.mark.slow
