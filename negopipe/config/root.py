@@ -130,10 +130,12 @@ def load(composed: DictConfig, typed: Sequence[str] = ()) -> RunConfig:
 
 def _drop_weights_alone(values: Any) -> None:
     """Leave out the drivers of a population of which only a weight is left, since `population/driver` names others."""
-    drivers = (values.get("population") or {}).get("drivers") or {}
-    for name in [name for name, driver in drivers.items() if isinstance(driver, dict) and [*driver] == ["weight"]]:
-        if (CONF / "population" / "driver" / f"{name}.yaml").is_file():
-            del drivers[name]
+    match values:
+        case {"population": {"drivers": dict() as drivers}}:
+            weights_alone = [name for name, own in drivers.items() if isinstance(own, dict) and [*own] == ["weight"]]
+            for name in weights_alone:
+                if (CONF / "population" / "driver" / f"{name}.yaml").is_file():
+                    del drivers[name]
 
 
 def as_mapping(config: RunConfig) -> dict[str, Any]:

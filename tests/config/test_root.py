@@ -104,6 +104,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
             "stages.1 must be one of train, evaluate, report, replay, behaviour_map, cross_play, oracle, streets, benchmark, export, got rest",  # noqa: E501
         ),
         (["stages=train"], "stages must be a list, got train"),
+        (["population.drivers=1"], "population.drivers must be an object, got 1"),
         (["stages=[]"], "stages must have at least 1 item, got []"),
         (["seed=???"], "seed is missing"),
         (["name='a\nb'"], "name must match pattern '^[A-Za-z0-9][A-Za-z0-9_.-]*$', got a\\nb"),
