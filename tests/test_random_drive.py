@@ -36,6 +36,8 @@ WIDTHS = (
     "scenario.road.width_changes=[{start_m:[-50.0,-40.0],length_m:[6.0,15.0],width_m:[5.5,9.0]},"
     "{start_m:[16.0,25.0],length_m:[6.0,15.0],width_m:[5.5,9.0]}]"
 )
+N_PROCESSES = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT") or "1")
+"""Processes of tests, which share the cores."""
 N_WORLDS = min(4096, max(1, N_DECISIONS // 128))
 N_STEPS = -(-N_DECISIONS // N_WORLDS)
 
@@ -52,7 +54,7 @@ N_STEPS = -(-N_DECISIONS // N_WORLDS)
     ids=["default", "mixed", "streets", "traffic"],
 )
 def test_the_world_stays_sound(options: tuple[str, ...]) -> None:
-    torch.set_num_threads(min(4, os.cpu_count() or 1))  # one test at a time: they are slow
+    torch.set_num_threads(max(1, min(4, (os.cpu_count() or 1) // N_PROCESSES)))
     streets = drive_at_random(options, N_WORLDS, N_STEPS, is_compiled=has_compiler())
     assert len(streets) >= (min(LEAST_STREETS, N_WORLDS // 2) if "scenario=random_streets" in options else 1)
 
