@@ -1,16 +1,12 @@
 """The policies that come with negopipe drive as well as the README says they do."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from composed import compose_config
 
-from negopipe.agents.horizon_drivers import adaptive_planner, by_horizon
-from negopipe.evaluation.episodes import drive_episodes
-from negopipe.evaluation.episodes_file import Drives, episodes
 from negopipe.evaluation.held_out import held_out_tasks
 from negopipe.runtime.build import build, load_weights
+from negopipe.stages.evaluate import jobs_of
 from negopipe.tracking.checkpoint import find_checkpoint
 
 AT_LEAST = {
@@ -35,19 +31,18 @@ EASY = (
 
 
 def rates(experiment: str, setting: str, n_episodes: int) -> tuple[float, float]:
-    """Shares of success and collision on held-out tasks."""
+    """Shares of success and collision on held-out tasks, as the stage `evaluate` drives them."""
     easy = EASY if experiment in DRAWN and n_episodes == FEW else ()
     exact = [] if experiment == "generalist" else ["policy.precision=float32"]  # objects are seen in float32 anyway
-    config = compose_config([f"+experiment={experiment}", "device=cpu", "compile=off", *exact, *easy])
-    config = replace(config, evaluation=replace(config.evaluation, n_episodes=n_episodes))
+    alone = ["evaluation/baseline=[]", "report.side_by_side=[]", "evaluation.oracle=null"]
+    size = f"evaluation.n_episodes={n_episodes}"
+    config = compose_config([f"+experiment={experiment}", "device=cpu", "compile=off", size, *alone, *exact, *easy])
     game, policy = build(config)
     load_weights(find_checkpoint("pretrained", config), policy, config)
-    choose = adaptive_planner(policy, game, config.policy.horizons_s)
-    tasks, evaluation = held_out_tasks(config, game, setting), config.evaluation
-    trace = drive_episodes(
-        game, by_horizon(game, choose), tasks, evaluation.n_worlds, evaluation.reward, ("adaptive", setting)
-    )
-    outcome = episodes(Drives.of(config, trace), ["outcome"])["outcome"]
+    (evaluation,) = jobs_of(config, game, policy, {setting: held_out_tasks(config, game, setting)}).values()
+    driven = evaluation()
+    assert driven is not None
+    outcome = driven[0]["outcome"]
     return (outcome == "success").mean(), (outcome == "collision").mean()
 
 
