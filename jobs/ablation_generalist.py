@@ -2,7 +2,8 @@
 
 `train` trains every variant with every seed, `--at-once` of them side by side, and writes <variant>-<seed>.safetensors
 and its learning curve. `drive` drives each through cases of unseen-v1 and writes a table. Both leave out what is
-there already. A variant drives with what it was trained with. Overrides apply to every training, such as device=cuda.
+there already, and a training that was stopped goes on from its last iteration. A variant drives with what it was
+trained with. Overrides apply to every training, such as device=cuda.
 
 The cases were chosen before any variant was trained: two per group of unseen-v1, one of the two mixed ones.
 """
@@ -33,6 +34,8 @@ from negopipe.simulation.perception import Perception
 from negopipe.stages.evaluate import measure
 from negopipe.tensors.tree import map_tensors
 from negopipe.tracking.csv_file import CsvKind, read_csv, write_csv
+from negopipe.tracking.run_folder import SNAPSHOTS_NAME
+from negopipe.tracking.snapshots import Snapshots
 from negopipe.training.training import Training
 
 NOT_SELF = ("any_horizon", "undecided", "late", "cautious")
@@ -73,12 +76,16 @@ def train(folder: Path, variant: str, seed: int, n_iterations: int, overrides: S
     fixed = (f"seed={seed}", "n_threads=1", "device=cpu", "compile=on")
     config = load_config("+experiment=generalist", *fixed, *own, *overrides)
     prepare(config)
-    training = Training(config)
+    training, own_folder = Training(config), folder / f"{variant}-{seed}"
+    snapshots = Snapshots(own_folder / SNAPSHOTS_NAME, config.tracking.n_snapshots)
+    training.resume(snapshots)
     while training.n_done < training.n_total:
         row = training.iterate()
+        training.save_to(snapshots)
         print(f"{variant}-{seed} {monotonic() - began:.0f} s {training.n_done} {training.curve.text(row)}", flush=True)
-    training.curve.write(folder / f"{variant}-{seed}")
-    save_policy(path, training.policy, config, row["decisions"])
+    training.curve.write(own_folder)
+    save_policy(path, training.policy, config, training.curve.rows[-1]["decisions"])
+    snapshots.remove()
     return f"{path.name} after {monotonic() - began:.0f} s"
 
 

@@ -17,6 +17,7 @@ from negopipe.search.oracle_table import ORACLE_TABLE
 from negopipe.tracking import pretrained
 from negopipe.tracking.checkpoint import load_checkpoint
 from negopipe.tracking.csv_file import read_csv, write_csv
+from negopipe.training.training import Training
 
 ROOT = JOBS.parent
 WITH_REFERENCES = [
@@ -169,6 +170,30 @@ def test_ablation_trains_and_drives_a_variant_once(tmp_path: Path) -> None:
     assert same == row
     assert (row["variant"], row["case"], row["n_episodes"]) == ("one_street", "driver_idm", 2)
     assert row["success"] + sum(row[each] for each in ("collision", "deadlock", "timeout", "social_collision")) == 1
+
+
+@pytest.mark.slow
+def test_ablation_goes_on_with_a_training_that_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = load_script("ablation_generalist")
+    few = ["compile=off", "algorithm.n_worlds=4", "algorithm.n_steps=2"]
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    whole.mkdir()
+    job.train(whole, "as_shipped", 1, 3, few)
+    iterate = job.Training.iterate
+
+    def iterate_until_stopped(training: Training) -> dict:
+        if training.n_done == 2:
+            raise KeyboardInterrupt
+        return iterate(training)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(job.Training, "iterate", iterate_until_stopped)
+        with pytest.raises(KeyboardInterrupt):
+            job.train(stopped, "as_shipped", 1, 3, few)
+    job.train(stopped, "as_shipped", 1, 3, few)
+    name = "as_shipped-1.safetensors"
+    assert (stopped / name).read_bytes() == (whole / name).read_bytes()
+    assert not list(stopped.rglob("0*.safetensors"))
 
 
 @pytest.mark.slow
