@@ -272,7 +272,10 @@ TRAINING_PANELS = {
 
 @styled
 def training(history: pd.DataFrame) -> Figure:
-    """Learning curves over decisions: logged values and their running mean; a dashed line begins a stage."""
+    """Learning curves over decisions: logged values and their running mean; a dashed line begins a stage.
+
+    Means of episodes have no curve in a training so short that no episode ends; the panel says so.
+    """
     panels = {label: [name for name in names if name in history] for label, names in TRAINING_PANELS.items()}
     panels = {label: names for label, names in panels.items() if names}
     unit, unit_name = (1e6, "million") if history["decisions"].max() >= 1e6 else (1e3, "thousand")
@@ -281,7 +284,10 @@ def training(history: pd.DataFrame) -> Figure:
     for axis, (label, names) in zip(axes, panels.items(), strict=True):
         for name in names:
             _learning_curve(axis, decisions, history[name] * (100 if name.endswith("_rate") else 1))
-        if len(names) > 1:
+        if history[names].isna().all(axis=None):
+            axis.set_yticks([])
+            axis.text(0.5, 0.5, "no episode ended", transform=axis.transAxes, ha="center", va="center", color=QUIET)
+        elif len(names) > 1:
             axis.legend(loc="center right", handlelength=1.0, fontsize=8)
         axis.set_title(label, fontweight="normal")
         axis.grid(axis="y")

@@ -182,6 +182,13 @@ def test_training_draws_only_what_was_logged_and_marks_the_stages(history: pd.Da
     assert boundaries == pytest.approx(begins.tolist())
 
 
+def test_training_says_where_no_episode_ended(history: pd.DataFrame) -> None:
+    episodes = ["success_rate", "collision_rate", "timeout_rate", "return_mean"]
+    assert not any(axis.texts for axis in figures.training(history).axes)
+    figure = figures.training(history.assign(**dict.fromkeys(episodes, np.nan)))
+    assert [[text.get_text() for text in axis.texts] for axis in figure.axes][:3] == [["no episode ended"]] * 2 + [[]]
+
+
 def test_horizons_along_the_road_are_shares_of_the_decisions_there(traces: list[Trace]) -> None:
     axis = figures.horizons_along(traces).axes[0]
     adaptive = traces[0]
