@@ -301,7 +301,8 @@ def _learning_curve(axis: Axes, decisions: np.ndarray, values: pd.Series) -> Non
     color = {"collision": OUTCOME_COLORS["collision"], "timeout": QUIET}.get(name, ADAPTIVE_COLOR)
     smooth = values.rolling(max(len(values) // 30, 1), min_periods=1, center=True).mean()
     axis.plot(decisions, values, color=color, alpha=0.35, linewidth=0.7)
-    axis.plot(decisions, smooth, color=color, linewidth=1.8, label=name)
+    alone = "o" if values.count() == 1 else None  # a single value makes no line
+    axis.plot(decisions, smooth, color=color, linewidth=1.8, label=name, marker=alone)
 
 
 def _two_columns(n_panels: int, row_height_in: float) -> tuple[Figure, list[Axes]]:

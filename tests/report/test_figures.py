@@ -189,6 +189,14 @@ def test_training_says_where_no_episode_ended(history: pd.DataFrame) -> None:
     assert [[text.get_text() for text in axis.texts] for axis in figure.axes][:3] == [["no episode ended"]] * 2 + [[]]
 
 
+def test_a_single_value_of_a_training_is_seen(history: pd.DataFrame) -> None:
+    alone = history["return_mean"].where(history.index == history.index[-1])
+    figure = figures.training(history.assign(return_mean=alone))
+    markers = [[line.get_marker() for line in axis.lines if line.get_alpha() is None] for axis in figure.axes[:2]]
+    assert "o" in markers[1]
+    assert "o" not in markers[0]
+
+
 def test_horizons_along_the_road_are_shares_of_the_decisions_there(traces: list[Trace]) -> None:
     axis = figures.horizons_along(traces).axes[0]
     adaptive = traces[0]
