@@ -30,8 +30,8 @@ The map, lowest first: a package imports only what stands above it here, and its
     benchmark     speed of simulator, planner and training, and what bounds it
     sweeping      a sweep's objective, Optuna search, the comparison of many runs
     deployment    a trained policy outside of the repository: its export, and the check of an export
-    stages        train, evaluate, report, replay, behaviour_map, cross_play, oracle, streets, benchmark, export:
-                  functions of config, run
+    stages        preview, train, evaluate, report, replay, behaviour_map, cross_play, oracle, streets, benchmark,
+                  export: functions of config, run
     envs          doors for other people's code: gymnasium, PettingZoo, Stable-Baselines3
     play          a page on which a person drives against an opponent: server, encounters, page
     __main__      the command line

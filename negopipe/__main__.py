@@ -115,12 +115,14 @@ def pipeline(composed: DictConfig) -> float | None:
 
 def run_stages(composed: DictConfig) -> float | None:
     """Check the config and run its stages, or help the rank that does; returns the objective, None if there is none."""
-    from negopipe.config.root import load
+    from negopipe.config.root import load, run_name
     from negopipe.runtime.ranks import connected
     from negopipe.tracking.checkpoint import find_checkpoint
 
     config = load(composed, HydraConfig.get().overrides.task)
     _check_places(config)
+    if IS_FIRST:
+        log.info("run        %s", _from_here(Path(config.outputs).absolute() / config.name / run_name(config)))
     # all code is loaded now, so that edits during a long run do not end up in it
     stages = [importlib.import_module(f"negopipe.stages.{stage}") for stage in config.stages]
     if config.checkpoint is not None:
@@ -153,7 +155,6 @@ def _run(config: "RunConfig", stages: list[ModuleType], ranks: "Ranks") -> float
         is_fresh=config.rerun,
     )
     with opened as run:
-        log.info("run        %s", _from_here(run.folder))
         config = backend.resolve_auto(config, run.folder)
         backend.prepare(config)
         config = network_choice.resolve_auto(config, run.folder)

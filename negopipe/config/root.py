@@ -43,13 +43,14 @@ from negopipe.tensors.torch_settings import one_thread
 from negopipe.tracking.store import TrackingConfig
 
 Stage = Literal[
-    "train", "evaluate", "report", "replay", "behaviour_map", "cross_play", "oracle", "streets", "benchmark", "export"
+    "preview", "train", "evaluate", "report", "replay", "behaviour_map", "cross_play", "oracle", "streets", "benchmark",
+    "export",
 ]  # fmt: skip
 
 EpisodeText = Annotated[str, Field(pattern=r"^[^/]+/[^/]+/\d{1,9}$")]
 """Name of an episode, `<setting>/<planner>/<number>`: three columns of episodes.csv."""
 
-WITHOUT_POLICY = {"behaviour_map", "oracle", "streets", "benchmark"}
+WITHOUT_POLICY = {"preview", "behaviour_map", "oracle", "streets", "benchmark"}
 """Stages that drive without the run's policy."""
 
 RESULT_NEUTRAL = {

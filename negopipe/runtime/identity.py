@@ -26,6 +26,7 @@ _GAME = (
 )
 _TRAINING = (*_GAME, "reward", "algorithm", "curriculum")
 DEPENDS_ON = {
+    "preview": (*_GAME, "evaluation", "report"),
     "train": _TRAINING,
     "evaluate": (*_TRAINING, "evaluation"),
     "report": (*_TRAINING, "evaluation", "report"),
@@ -49,7 +50,7 @@ MAPPED = "behaviour_map"
 """Stage whose figure the report shows."""
 NOT_TRAINED_ON = ("families",)
 """Keys of the scenario that training does not depend on: it draws from the curriculum's families."""
-WITHOUT_NETWORK = ("behaviour_map", "oracle", "streets")
+WITHOUT_NETWORK = ("preview", "behaviour_map", "oracle", "streets")
 """Stages that build no network."""
 ONLY_COMPUTED_WITH = ("precision",)
 """Keys of the policy that stages without a network do not depend on."""
@@ -57,7 +58,9 @@ ONLY_ROUNDED_BY = ("memory_format",)
 """Keys of the policy that only change the order of sums, as threads do. Another run of the same config may resolve them
 otherwise by its timing, and its training is taken over all the same."""
 ONLY_SHOWN = ("leading_setting",)
-"""Keys of the evaluation that only change the order of the report."""
+"""Keys of the evaluation that only change the order of the report and what the preview shows."""
+SHOWS = ("preview", "report")
+"""Stages that depend on them."""
 ONLY_NAMES = ("experiment", "registered_model")
 """Keys of tracking that do not change its cost, which the benchmark measures."""
 
@@ -72,7 +75,7 @@ def stage_key(config: RunConfig, stage: str) -> str:
         relevant["policy"] = _without(relevant["policy"], ONLY_ROUNDED_BY)
     if stage in WITHOUT_NETWORK:
         relevant["policy"] = _without(relevant["policy"], ONLY_COMPUTED_WITH)
-    if stage != "report" and "evaluation" in relevant:
+    if stage not in SHOWS and "evaluation" in relevant:
         relevant["evaluation"] = _without(relevant["evaluation"], ONLY_SHOWN)
     if "tracking" in relevant:
         relevant["tracking"] = _without(relevant["tracking"], ONLY_NAMES)

@@ -101,7 +101,7 @@ def test_every_job_composes_and_builds(words: list[str]) -> None:
         (["device=tpu"], "device must be one of auto, cpu, cuda, got tpu"),
         (
             ["stages=[train,rest]"],
-            "stages.1 must be one of train, evaluate, report, replay, behaviour_map, cross_play, oracle, streets, benchmark, export, got rest",  # noqa: E501
+            "stages.1 must be one of preview, train, evaluate, report, replay, behaviour_map, cross_play, oracle, streets, benchmark, export, got rest",  # noqa: E501
         ),
         (["stages=train"], "stages must be a list, got train"),
         (["population.drivers=1"], "population.drivers must be an object, got 1"),
