@@ -26,7 +26,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import env_override
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
@@ -115,6 +115,9 @@ def pipeline(composed: DictConfig) -> float | None:
 
 def run_stages(composed: DictConfig) -> float | None:
     """Check the config and run its stages, or help the rank that does; returns the objective, None if there is none."""
+    named = OmegaConf.to_container(composed).get("stages")  # type: ignore[union-attr]
+    if IS_FIRST and isinstance(named, list):  # before the imports, which take seconds
+        log.info("stages     %s", ", ".join(map(str, named)))
     from negopipe.config.root import load, run_name
     from negopipe.runtime.ranks import connected
     from negopipe.tracking.checkpoint import find_checkpoint

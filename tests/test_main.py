@@ -61,6 +61,14 @@ def test_help_names_the_experiments_and_needs_no_torch() -> None:
     assert result.stdout.splitlines()[-1] == "set()"
 
 
+def test_the_stages_are_said_before_torch_is_imported() -> None:
+    code = "import sys, negopipe.__main__ as m; sys.argv = ['negopipe', 'stages=[oracle,report]']\n"
+    code += "def said(*line): sys.exit(' '.join(map(str, [*line, {'torch', 'mlflow'} & set(sys.modules)])))\n"
+    code += "m.log.info = said\nm.main()"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.stderr == "stages     %s oracle, report set()\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
