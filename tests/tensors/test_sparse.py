@@ -1,11 +1,16 @@
 import gc
-from collections.abc import Callable
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from negopipe.tensors import sparse
+import negopipe.__main__ as entry
+from negopipe.tensors import compiled, sparse
 from negopipe.tensors.sparse import SparseFunction
 
 OTHERWISE = torch.tensor([7.0, -torch.inf])
@@ -75,7 +80,71 @@ def test_compiled_code_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch, chu
     def around(counts: Tensor, owners: Tensor, items: Tensor) -> Tensor:
         return torch.where(counts, function(counts, owners, items), 0.0)
 
-    compiled: Callable[..., Tensor] = torch.compile(around, dynamic=False)
+    in_cpp: Callable[..., Tensor] = torch.compile(around, dynamic=False)
     for share in (0.3, 0.0, 1.0, 0.01):
         given = draw(40, 33, share)
-        assert torch.equal(compiled(*given), around(*given))
+        assert torch.equal(in_cpp(*given), around(*given))
+
+
+def send(number: int) -> None:
+    """Send this process a signal, whose handler runs before this returns, unless it waits."""
+    os.kill(os.getpid(), number)
+    time.sleep(0.01)
+
+
+@pytest.fixture(params=[signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
+def interruption(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[type[BaseException]]:
+    """What is raised for a signal that comes while items are picked."""
+    picked = SparseFunction.counting
+
+    def interrupted(self: SparseFunction, *args: Any) -> Tensor:
+        send(request.param)
+        return picked(self, *args)
+
+    monkeypatch.setattr(SparseFunction, "counting", interrupted)
+    before = signal.signal(signal.SIGTERM, entry._terminate)
+    yield {signal.SIGINT: KeyboardInterrupt, signal.SIGTERM: SystemExit}[request.param]
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_a_signal_waits_for_the_end_of_an_operator(interruption: type[BaseException]) -> None:
+    """... also where operators call compiled code with operators of its own."""
+    function, done = SparseFunction(shares, OTHERWISE), []
+    vars(function)["compiled"] = shares
+
+    def operate() -> None:
+        with compiled.OutsideOperators(), compiled.OutsideOperators():
+            done.append(torch.ops.negopipe.counting(function._key, len(OTHERWISE), *draw(40, 33, 0.3)))
+            time.sleep(0.01)
+            done.append(None)
+
+    with pytest.raises(interruption):
+        operate()
+    assert len(done) == 2
+
+
+def test_a_signal_outside_an_operator_is_handled_at_once() -> None:
+    handler, done = signal.getsignal(signal.SIGINT), []
+
+    def wait() -> None:
+        with compiled.OutsideOperators():
+            send(signal.SIGINT)
+            done.append(None)
+
+    with pytest.raises(KeyboardInterrupt):
+        wait()
+    assert not done
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+@pytest.mark.slow
+def test_a_signal_in_compiled_code_stays_what_it_is(
+    interruption: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """C++ would make a RuntimeError of it, which ended a training with a traceback instead of `interrupted`."""
+    monkeypatch.setattr(sparse, "CHUNK", 64)
+    function = SparseFunction(shares, OTHERWISE)
+    in_cpp = compiled.compiled(lambda *given: function(*given) + 1.0)
+    for _ in range(2):  # the first call compiles
+        with pytest.raises(interruption):
+            in_cpp(*draw(40, 33, 0.3))
