@@ -92,8 +92,20 @@ def send(number: int) -> None:
     time.sleep(0.01)
 
 
+@pytest.fixture
+def handlers() -> Iterator[None]:
+    """Those of the command line, also where the tests run in the background, where a shell ignores Ctrl-C."""
+    wanted = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: entry._terminate}
+    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.fixture(params=[signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
-def interruption(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[type[BaseException]]:
+def interruption(
+    request: pytest.FixtureRequest, handlers: None, monkeypatch: pytest.MonkeyPatch
+) -> type[BaseException]:
     """What is raised for a signal that comes while items are picked."""
     picked = SparseFunction.counting
 
@@ -102,9 +114,7 @@ def interruption(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
         return picked(self, *args)
 
     monkeypatch.setattr(SparseFunction, "counting", interrupted)
-    before = signal.signal(signal.SIGTERM, entry._terminate)
-    yield {signal.SIGINT: KeyboardInterrupt, signal.SIGTERM: SystemExit}[request.param]
-    signal.signal(signal.SIGTERM, before)
+    return {signal.SIGINT: KeyboardInterrupt, signal.SIGTERM: SystemExit}[request.param]
 
 
 def test_a_signal_waits_for_the_end_of_an_operator(interruption: type[BaseException]) -> None:
@@ -123,8 +133,9 @@ def test_a_signal_waits_for_the_end_of_an_operator(interruption: type[BaseExcept
     assert len(done) == 2
 
 
+@pytest.mark.usefixtures("handlers")
 def test_a_signal_outside_an_operator_is_handled_at_once() -> None:
-    handler, done = signal.getsignal(signal.SIGINT), []
+    done = []
 
     def wait() -> None:
         with compiled.OutsideOperators():
@@ -134,7 +145,7 @@ def test_a_signal_outside_an_operator_is_handled_at_once() -> None:
     with pytest.raises(KeyboardInterrupt):
         wait()
     assert not done
-    assert signal.getsignal(signal.SIGINT) is handler
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.slow
